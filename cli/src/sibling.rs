@@ -13,7 +13,7 @@ use tautline_rt::host::with_former_open_files;
 #[derive(Debug, thiserror::Error)]
 pub enum SiblingError {
     #[error(
-        "{program} is not built: neither beside {} nor in PATH; {build}", beside.display()
+        "{program} is not there: neither beside {} nor in PATH; {build}", beside.display()
     )]
     Missing { program: &'static str, build: &'static str, beside: PathBuf },
     #[error("{} cannot be run: {source}", program.display())]
@@ -23,9 +23,13 @@ pub enum SiblingError {
 /// The program of a package in a folder of this repository.
 macro_rules! sibling {
     ($program:literal, $package:literal, $folder:literal) => {
+        $crate::sibling::sibling!($program, $package, $folder, "")
+    };
+    ($program:literal, $package:literal, $folder:literal, $before:literal) => {
         $crate::sibling::Sibling {
             program: $program,
             build: concat!(
+                $before,
                 "build it with `cargo build --release -p ",
                 $package,
                 "`, or install it with `cargo install --path ",
@@ -37,17 +41,29 @@ macro_rules! sibling {
 }
 pub(crate) use sibling;
 
+/// One that every package with `taut` has.
+macro_rules! packaged {
+    ($program:literal, $package:literal, $folder:literal) => {
+        sibling!(
+            $program,
+            $package,
+            $folder,
+            "if taut was installed from a package, reinstall that (`pip install --force-reinstall taut`, `apt reinstall tautline`); otherwise "
+        )
+    };
+}
+
 /// Records, plays and processes bags. It links their formats and compression.
-pub const BAG: Sibling = sibling!("taut-bag", "taut-bag", "cli/bag");
+pub const BAG: Sibling = packaged!("taut-bag", "taut-bag", "cli/bag");
 
 /// Shows the present state of a domain. It links the terminal library.
-pub const TOP: Sibling = sibling!("taut-top", "taut-top", "cli/top");
+pub const TOP: Sibling = packaged!("taut-top", "taut-top", "cli/top");
 
 /// Selects messages. It links the implementation of jq's language.
-pub const FILTER: Sibling = sibling!("taut-filter", "taut-filter", "cli/filter");
+pub const FILTER: Sibling = packaged!("taut-filter", "taut-filter", "cli/filter");
 
 /// Carries topics to other hosts. It links Zenoh.
-pub const GATEWAY: Sibling = sibling!("taut-gateway", "tautline-gateway", "transport/zenoh");
+pub const GATEWAY: Sibling = packaged!("taut-gateway", "tautline-gateway", "transport/zenoh");
 
 /// The programs that have verbs of `taut`, with these verbs: for completions and manual pages.
 pub const WITH_VERBS: [(&Sibling, &[&str]); 2] = [(&BAG, &["record", "play", "bag"]), (&TOP, &["top"])];

@@ -1,6 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut apply`: what its answers and exit codes are.
 
+#[path = "support/schemas.rs"]
+mod schemas;
+
+use schemas::Checked;
 use std::path::PathBuf;
 use std::process::{Command, Output};
 
@@ -35,7 +39,7 @@ fn text(wcet: &str, period: &str) -> String {
 fn apply(file: &File, more: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));
     command.arg("apply").arg(&file.0).args(["--domain", &DOMAIN.to_string()]).args(more);
-    command.output().unwrap()
+    command.checked()
 }
 
 fn said(output: &Output) -> (Option<i32>, String) {

@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, Command, Stdio};
 use std::time::Duration;
 use support::Here;
+use support::schemas::Checked;
 use tautline::{CallbackOptions, Qos};
 use tautline_bag::{BagError, Event, FileReader, files_of};
 use tautline_msgs::Message;
@@ -71,6 +72,7 @@ impl Recorder {
         self.signal("-INT");
         let mut report = String::new();
         self.child.stdout.take().unwrap().read_to_string(&mut report).unwrap();
+        support::schemas::check_as("record", report.as_bytes());
         let code = self.child.wait().unwrap().code().unwrap();
         let folder = std::mem::replace(&mut self.folder, tempfile::tempdir().unwrap());
         (code, serde_json::from_str(&report).unwrap(), folder)
@@ -123,7 +125,7 @@ fn numbers(bag: &Path) -> BTreeMap<String, Vec<u64>> {
 }
 
 fn taut(folder: &Path, args: &[&str]) -> String {
-    let output = Command::new(env!("CARGO_BIN_EXE_taut")).args(args).current_dir(folder).output().unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_taut")).args(args).current_dir(folder).checked();
     assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).unwrap()
 }

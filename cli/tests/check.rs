@@ -1,12 +1,17 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut check` and `taut init` as a person or script sees them.
+
+#[path = "support/schemas.rs"]
+mod schemas;
+
+use schemas::Checked;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use serde_json::Value;
 
 fn taut(args: &[&str], directory: &Path) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_taut")).args(args).current_dir(directory).output().unwrap()
+    Command::new(env!("CARGO_BIN_EXE_taut")).args(args).current_dir(directory).checked()
 }
 
 fn systems() -> PathBuf {
@@ -141,4 +146,50 @@ fn init_writes_a_file_that_passes_and_never_overwrites() {
     assert_eq!(again.status.code(), Some(1));
     assert!(text(&again.stderr).contains("exists and is left as it is"));
     assert_eq!(std::fs::read_to_string(directory.join("system.toml")).unwrap(), "mine");
+}
+
+#[test]
+fn a_file_without_a_version_is_migrated_and_a_newer_one_is_refused() {
+    let directory = scratch("migrate");
+    let path = directory.join("system.toml");
+    let write = |text: &str| std::fs::write(&path, text).unwrap();
+    let old = std::fs::read_to_string(systems().join("paper.toml")).unwrap();
+    let (head, rest) = old.split_once("\n\n").unwrap();
+    write(&old);
+    let out = taut(&["check", "--migrate"], &directory);
+    assert_eq!((out.status.code(), text(&out.stderr).as_str()), (Some(0), ""));
+    let said = "system.toml: from a file without a version to version 1\n  `version = 1` is stated\n";
+    assert_eq!(text(&out.stdout), said);
+    let migrated = std::fs::read_to_string(&path).unwrap();
+    assert_eq!(migrated, format!("{head}\n\nversion = 1\n\n{rest}"));
+    let [before, after] =
+        ["paper.toml", path.to_str().unwrap()].map(|file| taut(&["check", file], &systems()).stdout);
+    assert_eq!(before, after);
+
+    let out = taut(&["check", "--migrate", "--json"], &directory);
+    let json: Value = serde_json::from_slice(&out.stdout).unwrap();
+    let nothing = serde_json::json!({ "file": "system.toml", "from": 1, "to": 1, "changes": [] });
+    assert_eq!((out.status.code(), json), (Some(0), nothing));
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), migrated);
+
+    let newer = migrated.replace("version = 1", "version = 7") + "colour = 1\n";
+    let refusal = "the file is of version 7, and this Tautline reads version 1: use the newer Tautline that it was written for";
+    for (args, said) in [
+        (&["check"][..], format!("system.toml:4:11: {refusal}")),
+        (&["check", "--migrate"], format!("taut: `system.toml` is not migrated: {refusal}")),
+    ] {
+        write(&newer);
+        let out = taut(args, &directory);
+        assert_eq!((out.status.code(), text(&out.stdout).as_str()), (Some(2), ""));
+        assert!(text(&out.stderr).starts_with(&said), "{}", text(&out.stderr));
+        // Its other keys are of that version, too.
+        assert!(!text(&out.stderr).contains("colour"));
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), newer);
+    }
+    for (version, said) in [("\"1\"", "is not a whole number"), ("0", "versions begin with 1")] {
+        write(&migrated.replace("version = 1", &format!("version = {version}")));
+        let out = taut(&["check", "--migrate"], &directory);
+        assert!(out.status.code() == Some(2) && text(&out.stderr).contains(said), "{}", text(&out.stderr));
+    }
+    std::fs::remove_dir_all(&directory).unwrap();
 }

@@ -1,10 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut bag convert` beside rosbags: bags of every storage and compression that it writes become bags in which it reads the same.
 
+#[path = "support/schemas.rs"]
+mod schemas;
+
 #[path = "../../msgs/schema/tests/support/mod.rs"]
 #[allow(dead_code, reason = "definitions of ROS are not used here")]
 mod ros;
 
+use schemas::Checked;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fs;
@@ -27,7 +31,7 @@ impl Place {
     fn taut(&self, args: &[&str]) -> (i32, String, String) {
         let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));
         command.args(args).current_dir(self.0.path()).env("TAUT_DOMAIN", "95").env_remove("RUST_LOG");
-        let output = command.output().unwrap();
+        let output = command.checked();
         let [out, errors] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
         (output.status.code().unwrap(), out, errors)
     }

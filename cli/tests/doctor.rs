@@ -1,6 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut doctor` on made-up hosts, on this one, and on a domain in which much is wrong.
 
+#[path = "support/schemas.rs"]
+mod schemas;
+
+use schemas::Checked;
 use serde_json::Value;
 use std::fs::{self, OpenOptions};
 use std::os::unix::fs::{FileExt, PermissionsExt};
@@ -88,7 +92,7 @@ fn remove(root: &TempDir, path: &str) {
 fn doctor(root: &Path, args: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));
     command.arg("doctor").args(["--domain", EMPTY, "--root"]).arg(root).args(args);
-    command.env_remove("TAUT_HOST").output().unwrap()
+    command.env_remove("TAUT_HOST").checked()
 }
 
 fn text(output: &Output) -> String {

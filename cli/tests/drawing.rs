@@ -1,6 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut graph` on a domain with a mismatch, with ends without a node, on another host, and with a system file.
 
+#[path = "support/schemas.rs"]
+mod schemas;
+
+use schemas::Checked;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
@@ -19,7 +23,7 @@ fn command(args: &[&str]) -> Command {
 }
 
 fn taut(args: &[&str]) -> Output {
-    let output = command(args).output().unwrap();
+    let output = command(args).checked();
     assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
     output
 }

@@ -12,12 +12,21 @@ fn the_program_is_found_or_its_absence_explained() {
     let taut = directory.join("taut");
     std::fs::copy(env!("CARGO_BIN_EXE_taut"), &taut).unwrap();
 
-    let absent = Command::new(&taut).args(["gateway", "--help"]).env("PATH", "/nowhere").output().unwrap();
-    let message = String::from_utf8(absent.stderr).unwrap();
-    assert!(
-        !absent.status.success() && message.contains("cargo build --release -p tautline-gateway"),
-        "{message}"
-    );
+    for (verb, program, package) in [
+        ("gateway", "taut-gateway", "tautline-gateway"),
+        ("record", "taut-bag", "taut-bag"),
+        ("top", "taut-top", "taut-top"),
+    ] {
+        let absent = Command::new(&taut).args([verb, "--help"]).env("PATH", "/nowhere").output().unwrap();
+        let message = String::from_utf8(absent.stderr).unwrap();
+        for said in [
+            &format!("{program} is not there: neither beside"),
+            "(`pip install --force-reinstall taut`, `apt reinstall tautline`)",
+            &format!("cargo build --release -p {package}`"),
+        ] {
+            assert!(absent.status.code() == Some(2) && message.contains(said), "{message}");
+        }
+    }
 
     let script = "#!/bin/sh\necho \"$@\"\nexit 3\n";
     let program = directory.join("taut-gateway");

@@ -1,6 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What `taut node`, `taut service` and `taut topic info` print of nodes here and on other hosts.
 
+#[path = "support/schemas.rs"]
+mod schemas;
+
+use schemas::Checked;
 use serde_json::{Value, json};
 use std::process::{Command, Output};
 use tautline_transport::{
@@ -12,7 +16,7 @@ const DOMAIN: u32 = 112;
 
 fn taut(args: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));
-    command.args(args).env("TAUT_DOMAIN", DOMAIN.to_string()).output().unwrap()
+    command.args(args).env("TAUT_DOMAIN", DOMAIN.to_string()).checked()
 }
 
 fn text(args: &[&str]) -> String {

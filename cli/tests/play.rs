@@ -1,9 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut play`: what is in a bag is published again, in its order, when it was and as it was.
 
+#[path = "support/schemas.rs"]
+mod schemas;
+
 mod child;
 
 use rustix::pty;
+use schemas::Checked;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -101,7 +105,7 @@ impl Place {
     }
 
     fn play(&self, args: &[&str]) -> (i32, String, String) {
-        ended(self.command(args).output().unwrap())
+        ended(self.command(args).checked())
     }
 
     /// It has begun.

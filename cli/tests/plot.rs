@@ -1,6 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut bag plot`: what is in the bag is in the picture and in the JSON; what cannot be drawn is said.
 
+#[path = "support/schemas.rs"]
+mod schemas;
+
+use schemas::Checked;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::fs;
@@ -55,7 +59,7 @@ impl Place {
     fn plot(&self, args: &[&str]) -> (i32, String, String) {
         let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));
         command.args(["bag", "plot", "bag"]).args(args).current_dir(self.0.path()).env_remove("RUST_LOG");
-        let output = command.output().unwrap();
+        let output = command.checked();
         let [out, errors] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
         (output.status.code().unwrap(), out, errors)
     }

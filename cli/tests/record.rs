@@ -17,6 +17,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::Arc;
 use support::Here;
+use support::schemas::Checked;
 use tautline::Qos;
 use tautline::example_interfaces::action::Fibonacci;
 use tautline::example_interfaces::srv::AddTwoInts;
@@ -81,7 +82,7 @@ impl Place {
     }
 
     fn run(&self, args: &[&str]) -> (i32, String, String) {
-        ended(self.command(args).output().unwrap())
+        ended(self.command(args).checked())
     }
 
     /// Records into `bag`, and has begun.
@@ -144,7 +145,11 @@ impl Recorder {
     /// As Ctrl-C ends it.
     fn end(self) -> (i32, String, String) {
         self.signal("-INT");
-        ended(self.0.wait_with_output().unwrap())
+        let output = self.0.wait_with_output().unwrap();
+        if output.stdout.starts_with(b"{") {
+            support::schemas::check_as("record", &output.stdout);
+        }
+        ended(output)
     }
 }
 

@@ -1,6 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut report` as people and scripts use it, on a system that runs in this process.
 
+#[path = "support/schemas.rs"]
+mod schemas;
+
+use schemas::Checked;
 use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
 use std::process::{Command, Output, Stdio};
@@ -76,7 +80,7 @@ fn command(arguments: &[&str]) -> Command {
 }
 
 fn taut(arguments: &[&str]) -> Output {
-    command(arguments).output().unwrap()
+    command(arguments).checked()
 }
 
 fn json(output: &Output) -> Value {

@@ -1,10 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut top`: of processes that come, are measured, and are killed; on a terminal.
 
+#[path = "support/schemas.rs"]
+mod schemas;
+
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::OFlags;
 use rustix::pty;
 use rustix::termios::{Winsize, tcsetwinsize};
+use schemas::Checked;
 use serde_json::Value;
 use std::fs::File;
 use std::io::{Read, Write};
@@ -22,7 +26,7 @@ fn taut(args: &[&str]) -> Command {
 }
 
 fn picture() -> Value {
-    let output = taut(&["top", "--once", "--json", "--every", "300ms"]).output().unwrap();
+    let output = taut(&["top", "--once", "--json", "--every", "300ms"]).checked();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     serde_json::from_slice(&output.stdout).unwrap()
 }

@@ -8,6 +8,7 @@ use std::cell::Cell;
 use std::process::{Command, Output};
 use std::sync::Arc;
 use support::Running;
+use support::schemas::Checked;
 use tautline::{Context, Node, Qos, Realtime};
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_schema::{DynamicMessage, Schema};
@@ -30,7 +31,7 @@ fn command(args: &[&str]) -> Command {
 }
 
 fn run(args: &[&str]) -> Output {
-    command(args).output().unwrap()
+    command(args).checked()
 }
 
 /// What a command prints that succeeds.

@@ -200,7 +200,9 @@ impl Map {
             return Err("shorter than a header");
         };
         if magic != MAGIC || version != VERSION {
-            return Err("not a trace file of this version of Tautline");
+            return Err(
+                "it is no trace file, or of another version of Tautline: use the same one in all processes of a domain",
+            );
         }
         let events = events as usize;
         if !events.is_power_of_two() || !(MIN_EVENTS..=MAX_EVENTS).contains(&events) {

@@ -12,7 +12,7 @@ use crate::steps::{Background, Outcome, Steps, cargo, execute, reported};
 use crate::test::{self, nextest};
 use crate::{
     api, book, bridge, dependencies, dist, first, fuzz, guests, lab, lints, lttng, packages, peers, programs,
-    r2r, r2r_tests, reports, rmw, ros, shared, stress_doorbell, stress_kills, word,
+    r2r, r2r_tests, release, reports, rmw, ros, shared, stress_doorbell, stress_kills, word,
 };
 use clap::ValueEnum;
 use std::path::Path;
@@ -121,6 +121,7 @@ pub fn run(steps: &mut Steps, scope: &Scope) {
     ros::choose(Distribution::Kilted);
     rmw::test(steps);
     miri(steps);
+    steps.step("semver", release::semver);
     test::leftovers(steps, scope);
 }
 

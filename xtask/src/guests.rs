@@ -10,7 +10,7 @@
 //! | `emulator` | a guest while it runs, and what it says |
 //! | `init.sh` | its first process |
 
-mod debian;
+pub mod debian;
 mod emulator;
 mod image;
 
@@ -19,7 +19,7 @@ use crate::lints::{self, Executable};
 use crate::steps::{self, Outcome, Steps};
 use crate::{examples, machine, packages, word};
 use clap::ValueEnum;
-use debian::Architecture;
+pub use debian::Architecture;
 use emulator::Report;
 use image::Image;
 use std::path::{Path, PathBuf};

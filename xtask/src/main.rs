@@ -26,6 +26,7 @@
 //! | `lttng` | LTTng's packages, and the test that needs them |
 //! | `reports` | what is wrong with the JSON of the demo and of the benches, in jq's language |
 //! | `compare` | the programs of other middleware that Tautline is measured beside |
+//! | `release` | what a release needs, its packages and its tag |
 //! | `readme` | the tables and pictures of the README and the documents, made from a run |
 //! | `peers` | tests the gateway against implementations of its wire that are not ours |
 //! | `programs` | runs the programs of a test of the node on r2r |
@@ -66,6 +67,7 @@ mod programs;
 mod r2r;
 mod r2r_tests;
 mod readme;
+mod release;
 mod reports;
 mod rmw;
 mod ros;
@@ -246,6 +248,7 @@ they get by with ARM's weak memory order.")]
     #[command(after_help = "Examples:
   cargo xtask dist                     all, some minutes
   cargo xtask dist --only tarball,deb
+  cargo xtask dist --architecture arm64   tarball, .deb and wheel for Raspberry Pi 5 and others
   cargo xtask dist --only crates       also checks that all published crates build without this repository
 
 Wheels need Python 3.11 and PyPI, the SBOM a tool that is built in a minute. Each file names a glibc of 2.35 at most, or it is refused.")]
@@ -253,7 +256,21 @@ Wheels need Python 3.11 and PyPI, the SBOM a tool that is built in a minute. Eac
         /// Only these parts [default: all]
         #[arg(long, value_name = "PART,...", value_delimiter = ',', value_enum)]
         only: Vec<Part>,
+        /// Programs for machines of this architecture, cross-compiled unless it is this machine's, which is the default
+        #[arg(long, value_name = "NAME", value_enum)]
+        architecture: Option<guests::Architecture>,
+        /// Build the programs of the last commit once more in another folder, and compare their bytes
+        #[arg(long, conflicts_with = "architecture")]
+        verify: bool,
     },
+    /// Checks that all is committed, has one version and a section in the changelog; makes the packages and tags the commit, here alone
+    Release {
+        /// Check, and say what would be made
+        #[arg(long)]
+        dry_run: bool,
+    },
+    /// Compares the crates' surfaces with those of the last tag: `cargo install --locked cargo-semver-checks`
+    Semver,
     /// Tries to break something by doing it very often
     #[command(subcommand)]
     Stress(Stress),
@@ -345,7 +362,12 @@ fn main() -> ExitCode {
             let extent = if quick { Extent::Quick } else { Extent::Whole };
             guests::run(steps, &only, extent);
         }),
-        Verb::Dist { only } => as_steps(|steps| dist::run(steps, &only)),
+        Verb::Dist { only, architecture, verify } => as_steps(|steps| {
+            let architecture = architecture.unwrap_or_else(guests::Architecture::here);
+            dist::run(steps, &only, architecture, verify);
+        }),
+        Verb::Release { dry_run } => as_steps(|steps| release::run(steps, dry_run)),
+        Verb::Semver => as_steps(|steps| _ = steps.step("semver", release::semver)),
         Verb::Stress(Stress::Doorbell { rings }) => {
             exit(steps::execute(&mut stress_doorbell(Build::Release, rings)))
         }

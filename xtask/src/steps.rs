@@ -77,6 +77,11 @@ impl Steps {
         succeeded
     }
 
+    /// Whether every step so far was run and succeeded.
+    pub fn are_all_ok(&self) -> bool {
+        self.done.iter().all(|done| matches!(done.outcome, Outcome::Ok))
+    }
+
     /// Notes a step that is not run, and why.
     pub fn skip(&mut self, name: &str, reason: &str) {
         self.step(name, || Outcome::Skipped(reason.to_owned()));

@@ -14,6 +14,7 @@ use super::reader::{At, Section};
 use super::reservations;
 use super::sections;
 use super::streams::{First, Source, Streams};
+use super::version;
 use super::{CallbackEntry, Client, CoreEntry, JoinPolicy, OverrunPolicy, SystemFile, TopicEntry};
 use crate::system::{Callback, Chain, Core, Matching, Part, Relay, System, Transfer};
 use crate::{Hold, Order, Overheads, Release, Task, Throttling};
@@ -32,7 +33,12 @@ pub(super) fn build(text: &str) -> Result<SystemFile, Problems> {
         }
         return Err(problems.into_problems());
     }
-    let file = sections::read(Section::root(&table), &mut problems);
+    let mut root = Section::root(&table);
+    // Of another version all keys may mean something else: nothing but that is reported.
+    if !version::check(&mut root, &mut problems) {
+        return Err(problems.into_problems());
+    }
+    let file = sections::read(root, &mut problems);
     let (cores, places) = places::resolve(&file, &mut problems);
     let graph = Graph::new(&file);
     graph.check(&places, &mut problems);

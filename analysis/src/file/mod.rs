@@ -23,6 +23,7 @@ mod reader;
 mod reservations;
 mod sections;
 mod streams;
+pub mod version;
 
 pub use check::{CheckedCallback, CheckedChain, CheckedCore, CheckedJoin, CheckedSystem};
 pub use problem::{Problem, Problems};

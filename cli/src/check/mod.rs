@@ -6,11 +6,13 @@ use std::process::ExitCode;
 
 use admit::Admitted;
 use clap::Args;
+use migrate::Migration;
 use tautline_analysis::file::{CheckedSystem, FileError, SystemFile};
 
 mod admit;
 mod gantt;
 mod json;
+mod migrate;
 mod sensitivity;
 mod table;
 
@@ -27,6 +29,7 @@ mod table;
   taut check system.toml --svg timeline.svg   which job runs when after the critical instant
   taut check system.toml --admit              together with everything that runs in the domain
   taut check system.toml --json | jq .schedulable
+  taut check system.toml --migrate            a file of an earlier version for this one
 
 taut init writes a commented file to begin with; docs/system-toml.md explains the format.")]
 pub struct CheckArgs {
@@ -45,6 +48,9 @@ pub struct CheckArgs {
     /// Check the file together with the running processes of the domain
     #[arg(long, conflicts_with = "sensitivity")]
     admit: bool,
+    /// Rewrite a file of an earlier version for the current one and print what changed; comments and order stay
+    #[arg(long, conflicts_with_all = ["admit", "sensitivity", "svg"])]
+    migrate: bool,
     /// The domain [default: TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0]
     #[arg(long, value_name = "N", requires = "admit", value_parser = clap::value_parser!(u32).range(0..=232))]
     domain: Option<u32>,
@@ -59,10 +65,24 @@ enum CheckError {
     Print(#[from] io::Error),
     #[error("{0}")]
     Admission(String),
+    #[error("`{}` is not migrated: {reason}", path.display())]
+    Migration { path: PathBuf, reason: String },
 }
 
 /// Runs the verb; the exit code is the verdict.
 pub fn run(args: &CheckArgs) -> ExitCode {
+    if args.migrate {
+        return match Migration::of_file(&args.file) {
+            Ok(migration) => {
+                match args.json {
+                    true => println!("{}", migration.to_json(&args.file)),
+                    false => println!("{}", migration.to_text(&args.file)),
+                }
+                ExitCode::SUCCESS
+            }
+            Err(reason) => failed(&CheckError::Migration { path: args.file.clone(), reason }),
+        };
+    }
     let file = match SystemFile::read(&args.file) {
         Ok(file) => file,
         Err(error) => {

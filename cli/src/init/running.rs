@@ -269,6 +269,7 @@ impl File {
         self.line(&format!("# What ran for {seconds:.1} s, by `taut init`. All keys: docs/system-toml.md"));
         self.line("# A `guess` is a value that nobody stated: replace it by what must hold, then run `taut check`.\n");
         let host = key(&rt::host::name());
+        self.line(&format!("version = {}\n", tautline_analysis::file::version::CURRENT));
         self.line(&format!("[hosts.{host}]"));
         let cores = rt::CoreSet::allowed().map_or(1, |cores| cores.iter().last().map_or(1, |last| last + 1));
         self.line(&format!("cores = {cores}"));

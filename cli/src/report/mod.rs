@@ -19,6 +19,8 @@ mod verdict;
 pub mod watch;
 mod wcet;
 
+pub use wcet::edit::save;
+
 use run::Run;
 use verdict::Comparison;
 use watch::ObservedProcesses;

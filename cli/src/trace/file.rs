@@ -83,7 +83,10 @@ pub fn read(path: &Path) -> Result<Recording, TraceError> {
 
 /// As [`read`], from memory.
 pub fn parse(bytes: &[u8]) -> Result<Recording, String> {
-    let mut rest = bytes.strip_prefix(MAGIC).ok_or("it does not begin as one")?;
+    let mut rest = bytes.strip_prefix(MAGIC).ok_or_else(|| match bytes.starts_with(&MAGIC[..6]) {
+        true => "it is of another version of Tautline: export it with the version that recorded it",
+        false => "it does not begin as one",
+    })?;
     let mut recording = Recording::default();
     let mut finished = false;
     while !rest.is_empty() {
@@ -216,6 +219,8 @@ mod tests {
             assert_eq!(broken.count(), 1, "{end}: {:?}", recording.warnings);
         }
         assert!(parse(&whole[..7]).is_err());
+        let other = [b"tauttr99", &whole[8..]].concat();
+        assert!(parse(&other).unwrap_err().contains("of another version of Tautline"));
     }
 
     #[test]

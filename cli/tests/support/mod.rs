@@ -2,8 +2,12 @@
 //! What tests of verbs that ask nodes share: such nodes in the test's process, and `taut` beside it.
 #![allow(dead_code, reason = "no test uses all of it")]
 
+pub mod schemas;
+
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use schemas::Checked;
 use serde_json::Value;
+use std::ffi::OsString;
 use std::future::Future;
 use std::io::Read;
 use std::os::fd::AsFd;
@@ -47,7 +51,7 @@ impl Here {
 
     /// What a command prints that succeeds.
     pub fn taut(&self, args: &[&str]) -> String {
-        let output = self.command(args).output().unwrap();
+        let output = self.command(args).checked();
         let errors = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.success(), "{args:?}: {errors}");
         String::from_utf8(output.stdout).unwrap()
@@ -59,7 +63,7 @@ impl Here {
 
     /// The exit code of one that does not, what it prints, and its words.
     pub fn refused(&self, args: &[&str]) -> (i32, String, String) {
-        ended(self.command(args).output().unwrap())
+        ended(self.command(args).checked())
     }
 
     /// A command that goes on.
@@ -78,11 +82,12 @@ impl Drop for Here {
 }
 
 /// A command that goes on; it is killed if it is not waited for.
-pub struct Running(Option<Child>);
+pub struct Running(Option<Child>, Vec<OsString>);
 
 impl Running {
     pub fn start(command: &mut Command) -> Self {
-        Running(Some(command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()))
+        let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        Running(Some(child), command.get_args().map(ToOwned::to_owned).collect())
     }
 
     fn child(&mut self) -> &mut Child {
@@ -91,7 +96,9 @@ impl Running {
 
     /// The next line that it prints.
     pub fn line(&mut self) -> String {
-        next_line(self.child().stdout.as_mut().unwrap())
+        let line = next_line(self.child().stdout.as_mut().unwrap());
+        schemas::check(self.1.iter().map(|word| &**word), line.as_bytes());
+        line
     }
 
     /// The next line of its words.
@@ -110,7 +117,9 @@ impl Running {
     }
 
     pub fn end(mut self) -> (i32, String, String) {
-        ended(self.0.take().expect("until its end").wait_with_output().unwrap())
+        let output = self.0.take().expect("until its end").wait_with_output().unwrap();
+        schemas::check(self.1.iter().map(|word| &**word), &output.stdout);
+        ended(output)
     }
 }
 

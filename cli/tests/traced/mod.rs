@@ -2,7 +2,11 @@
 //! A small talker and listener that records itself from its start, run in a process of its own, and what was recorded.
 #![allow(dead_code, reason = "each test file uses its part")]
 
+#[path = "../support/schemas.rs"]
+pub mod schemas;
+
 use futures::StreamExt;
+use schemas::Checked;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -19,7 +23,7 @@ struct Number {
 }
 
 pub fn taut(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_taut")).args(arguments).output().unwrap()
+    Command::new(env!("CARGO_BIN_EXE_taut")).args(arguments).checked()
 }
 
 pub fn text(bytes: &[u8]) -> String {

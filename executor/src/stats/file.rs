@@ -387,7 +387,10 @@ impl ForeignStatistics {
             return Ok(None);
         }
         if words[header::MAGIC] != MAGIC || words[header::VERSION] != VERSION {
-            let error = format!("{}: not statistics of this version of Tautline", self.path().display());
+            let error = format!(
+                "{} has statistics of another version of Tautline: use the same one in all processes of a domain",
+                self.path().display()
+            );
             return Err(io::Error::other(error));
         }
         let process = ProcessInfo {
@@ -528,7 +531,7 @@ mod tests {
         let words = file.map(0, HEADER_WORDS).unwrap();
         assert!(read().unwrap().is_none(), "not complete yet");
         words[header::MAGIC].store(1, Ordering::Relaxed);
-        assert!(read().unwrap_err().to_string().contains("not statistics of this version"));
+        assert!(read().unwrap_err().to_string().contains("of another version of Tautline"));
         words[header::MAGIC].store(MAGIC, Ordering::Relaxed);
         words[header::VERSION].store(VERSION, Ordering::Relaxed);
         words[header::PLACES].store(u64::MAX, Ordering::Relaxed);
@@ -539,6 +542,6 @@ mod tests {
         let callbacks = read().unwrap().unwrap().callbacks;
         assert_eq!((callbacks.len(), callbacks[0].inputs.len()), (1, 32), "any words are a callback");
         words[header::VERSION].store(VERSION - 1, Ordering::Relaxed);
-        assert!(read().unwrap_err().to_string().contains("not statistics of this version"));
+        assert!(read().unwrap_err().to_string().contains("of another version of Tautline"));
     }
 }

@@ -20,7 +20,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use tautline_rt::shm::Mapping;
 
-const MAGIC: u64 = u64::from_le_bytes(*b"tautcon1");
+pub(super) const MAGIC: u64 = u64::from_le_bytes(*b"tautcon1");
 
 /// How far the subscription has come with a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

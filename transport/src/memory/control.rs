@@ -16,7 +16,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering, fence};
 use tautline_rt::shm::Mapping;
 
-const MAGIC: u64 = u64::from_le_bytes(*b"tautpub1");
+pub(super) const MAGIC: u64 = u64::from_le_bytes(*b"tautpub1");
 /// Parts of a publisher's control memory at most.
 pub(crate) const PARTS: usize = 10;
 /// Address space of the first part, at least; each further one is four times as long. Memory is claimed as it is used.

@@ -8,7 +8,7 @@ import sys
 def refuse(*_, **__):
     machine, (library, version) = platform.machine(), platform.libc_ver()
     needed = tuple(map(int, "@GLIBC@".split(".")))
-    if sys.platform != "linux" or machine != "@MACHINE@":
+    if sys.platform != "linux" or machine not in "@MACHINES@".split(" or "):
         reason = f"this is {sys.platform} on {machine}"
     elif library != "glibc":
         reason = "this system's C library is another one"
@@ -17,7 +17,7 @@ def refuse(*_, **__):
     else:
         sys.exit("This pip is too old for the wheel of @NAME@ @VERSION@: python3 -m pip install --upgrade pip")
     sys.exit(
-        f"@NAME@ @VERSION@ is built for Linux on @MACHINE@ with glibc @GLIBC@ or newer (Ubuntu 22.04, Debian 12), and {reason}: "
+        f"@NAME@ @VERSION@ is built for Linux on @MACHINES@ with glibc @GLIBC@ or newer (Ubuntu 22.04, Debian 12), and {reason}: "
         "build it from source, https://github.com/tautline/tautline"
     )
 

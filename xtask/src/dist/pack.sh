@@ -13,6 +13,8 @@ pack_wheel() {
     info=$wheel/$module-$VERSION.dist-info
     mkdir -p "$info/licenses" "$OUT/pypi"
     cp "$REPOSITORY/LICENSE-MIT" "$REPOSITORY/LICENSE-APACHE" "$info/licenses"
+    case $name in taut) notices=notices ;; *) notices=rmw-notices ;; esac
+    cp "$OUT/work/$notices.txt" "$info/licenses/THIRD-PARTY-NOTICES.txt"
     # What `cargo xtask dist --only sbom` has made.
     case $name in taut) sbom=taut ;; *) sbom=rmw_tautline ;; esac
     if [ -d "$OUT/sbom" ]; then mkdir "$info/sboms" && cp "$OUT/sbom/$sbom"*.cdx.json "$info/sboms"; fi
@@ -24,6 +26,7 @@ Summary: $summary
 License-Expression: MIT OR Apache-2.0
 License-File: LICENSE-MIT
 License-File: LICENSE-APACHE
+License-File: THIRD-PARTY-NOTICES.txt
 Keywords: robotics,ros2,real-time,middleware,shared-memory
 Classifier: Operating System :: POSIX :: Linux
 Project-URL: Repository, https://github.com/tautline/tautline
@@ -36,14 +39,15 @@ END
     rm -rf "$source"
     mkdir "$source"
     cp "$info/METADATA" "$source/PKG-INFO"
-    sed "s/@NAME@/$name/; s/@VERSION@/$VERSION/; s/@MACHINE@/$MACHINE/; s/@GLIBC@/$GLIBC/" \
+    case $name in taut) machines="x86_64 or aarch64" ;; *) machines=$MACHINE ;; esac
+    sed "s/@NAME@/$name/; s/@VERSION@/$VERSION/; s/@MACHINES@/$machines/; s/@GLIBC@/$GLIBC/" \
         "$REPOSITORY/xtask/src/dist/no_wheel.py" > "$source/no_wheel.py"
     printf '[build-system]\nrequires = []\nbuild-backend = "no_wheel"\nbackend-path = ["."]\n' > "$source/pyproject.toml"
     archive "$OUT/pypi/$module-$VERSION.tar.gz" "$OUT/work" "$module-$VERSION"
     { echo; cat "$OUT/work/README.md"; } >> "$info/METADATA"
     printf 'Wheel-Version: 1.0\nGenerator: cargo xtask dist\nRoot-Is-Purelib: false\nTag: py3-none-manylinux_%s_%s\n' \
         "$(echo "$GLIBC" | tr . _)" "$MACHINE" > "$info/WHEEL"
-    rm -f "$OUT/pypi/$module-"*.whl
+    rm -f "$OUT/pypi/$module-"*"_$MACHINE.whl"
     "$TOOLS/bin/wheel" pack "$wheel" --dest-dir "$OUT/pypi"
 }
 
@@ -72,13 +76,14 @@ files) # As they are below /usr/local.
     mkdir -p "$files/bin" "$files/$doc/examples" "$files/share/bash-completion/completions" \
         "$files/share/zsh/site-functions" "$files/share/fish/vendor_completions.d"
     for program in taut taut-bag taut-top taut-filter taut-gateway; do
-        strip -o "$files/bin/$program" "$BUILT/$program"
+        "$STRIP" -o "$files/bin/$program" "$BUILT/$program"
     done
     cd "$REPOSITORY"
     cp LICENSE-MIT LICENSE-APACHE README.md CHANGELOG.md docs/deployment.md "$files/$doc"
+    gzip -9n < "$OUT/work/notices.txt" > "$files/$doc/THIRD-PARTY-NOTICES.gz"
     cp docs/systemd/* docs/realtime/* "$files/$doc/examples"
-    # Found by its name: a script that completes it names it as it was started.
-    PATH=$files/bin:$PATH
+    # Found by its name: a script that completes it names it as it was started. It is this machine's, whatever machine the files are for.
+    PATH=$HERE:$PATH
     taut man "$files/share/man/man1"
     gzip -9n "$files/share/man/man1/"*
     taut completions bash > "$files/share/bash-completion/completions/taut"
@@ -92,7 +97,7 @@ tarball)
     archive "$OUT/$folder.tar.gz" "$OUT/work" "$folder"
     ;;
 deb)
-    root=$OUT/work/deb architecture=$(dpkg --print-architecture)
+    root=$OUT/work/deb architecture=$ARCHITECTURE
     rm -rf "$root"
     mkdir -p "$root/DEBIAN" "$root/usr/lib/systemd/system"
     cp -a "$files/." "$root/usr"
@@ -156,7 +161,7 @@ rmw-wheel)
     rm -rf "$wheel"
     mkdir -p "$wheel/rmw_tautline"
     library=$wheel/rmw_tautline/librmw_tautline.so
-    strip -o "$library" "$BUILT/librmw_tautline.so"
+    "$STRIP" -o "$library" "$BUILT/librmw_tautline.so"
     # ROS's wheels have their libraries in lib of the environment, three folders up. What these need is found there, too.
     "$TOOLS/bin/patchelf" --force-rpath --set-rpath '$ORIGIN/../../..' "$library"
     sed "s/@VERSION@/$VERSION/" "$REPOSITORY/xtask/src/dist/rmw_tautline.py" > "$wheel/rmw_tautline/__init__.py"

@@ -3,12 +3,13 @@
 
 use crate::steps::{Outcome, execute};
 use crate::{machine, packages};
+use clap::ValueEnum;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::{fmt, fs, io};
 
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Architecture {
     Amd64,
     Arm64,
@@ -25,8 +26,13 @@ impl fmt::Display for Architecture {
 }
 
 impl Architecture {
+    /// This machine's.
+    pub fn here() -> Self {
+        if Architecture::Arm64.is_here() { Architecture::Arm64 } else { Architecture::Amd64 }
+    }
+
     /// As LLVM and GNU name it.
-    fn name(self) -> &'static str {
+    pub fn name(self) -> &'static str {
         match self {
             Architecture::Amd64 => "x86_64",
             Architecture::Arm64 => "aarch64",
@@ -178,7 +184,7 @@ pub fn compiler(target: Architecture) -> Result<Vec<(String, String)>, String> {
 
 /// A script that runs it where it was unpacked, with the standard libraries of both architectures.
 fn debians_compiler(target: Architecture) -> Result<PathBuf, String> {
-    let here = if target == Architecture::Arm64 { Architecture::Amd64 } else { Architecture::Arm64 };
+    let here = Architecture::here();
     let to = folder().join("rust");
     unpack(&to, || {
         update(here)?;

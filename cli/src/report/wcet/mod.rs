@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut report --wcet`: measured execution times, estimates of longer ones from their tail, and writing them into the system file.
 
-mod edit;
+pub mod edit;
 mod sizes;
 mod tail;
 

@@ -1,0 +1,174 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `cargo xtask release`: checks what a release needs, makes its packages and tags it, here alone. And whether the published crates still have what those
+//! of the last tag had.
+
+use crate::guests::Architecture;
+use crate::steps::{Outcome, Steps, execute};
+use crate::{dist, machine};
+use std::process::Command;
+
+const VERSION: &str = env!("CARGO_PKG_VERSION");
+
+/// The verb. With `dry_run` nothing is made: it says what would be.
+pub fn run(steps: &mut Steps, dry_run: bool) {
+    let tag = format!("v{VERSION}");
+    steps.step("release: tree", clean_tree);
+    steps.step("release: version", || one_version(&tag));
+    let mut notes = String::new();
+    steps.step("release: changelog", || {
+        let text = read("CHANGELOG.md")?;
+        notes = section(&text, VERSION)?.to_owned();
+        Ok::<(), String>(())
+    });
+    // Before the first release there is nothing to compare with.
+    if last_tag().is_some() {
+        steps.step("release: semver", semver);
+    }
+    let then = format!("git push origin {tag}, and publish what is in the target directory's `dist`");
+    if !dry_run && steps.are_all_ok() {
+        dist::run(steps, &[], Architecture::here(), true);
+    }
+    if !steps.are_all_ok() {
+        return steps.skip("release: tag", "a step before it was not ok");
+    }
+    if dry_run {
+        return println!(
+            "\nIt would run `cargo xtask dist --verify`, and tag {tag} with this:\n\n{notes}\n\nThen: {then}"
+        );
+    }
+    let mut command = git("tag --annotate --cleanup=verbatim");
+    if steps.command("release: tag", command.arg(&tag).args(["--message", &notes])) {
+        println!("\nTagged here. Then: {then}");
+    }
+}
+
+/// What CI runs: the crates of the working tree beside those of the last tag. Each is checked by itself, as the tool's issue 638 says of items that
+/// one crate exports of another.
+pub fn semver() -> Outcome {
+    let Some(tag) = last_tag() else {
+        return Outcome::Skipped("there is no tag v* to compare with (git fetch --tags)".to_owned());
+    };
+    if let Err(reason) = machine::cargo_has("semver-checks --version") {
+        let install = "cargo install --locked cargo-semver-checks";
+        return Outcome::Skipped(format!("cargo-semver-checks is not there ({reason}): {install}"));
+    }
+    // It leaves out crates with `publish = false`. Not all features: LTTng's is a library of the host's.
+    let mut command = Command::new("cargo");
+    command.args(["semver-checks", "--workspace", "--default-features", "--baseline-rev", &tag]);
+    execute(command.current_dir(machine::root())).into()
+}
+
+/// The newest one that is part of this commit's history.
+fn last_tag() -> Option<String> {
+    let output = git("describe --tags --abbrev=0 --match v[0-9]*").output().ok()?;
+    let tag = String::from_utf8_lossy(&output.stdout).trim().to_owned();
+    (output.status.success() && !tag.is_empty()).then_some(tag)
+}
+
+fn git(arguments: &str) -> Command {
+    let mut command = Command::new("git");
+    command.args(arguments.split(' ')).current_dir(machine::root());
+    command
+}
+
+fn said(command: &mut Command) -> Result<String, String> {
+    let output = command.output().map_err(|error| format!("git: {error}"))?;
+    if output.status.success() {
+        return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
+    }
+    Err(String::from_utf8_lossy(&output.stderr).trim().to_owned())
+}
+
+fn read(path: &str) -> Result<String, String> {
+    std::fs::read_to_string(machine::root().join(path)).map_err(|error| format!("{path}: {error}"))
+}
+
+fn clean_tree() -> Result<(), String> {
+    let changes = said(&mut git("status --porcelain"))?;
+    match changes.lines().count() {
+        0 => Ok(()),
+        count => {
+            print!("{changes}");
+            Err(format!(
+                "{count} files are not as committed: commit or remove them, for what is tagged is what is committed"
+            ))
+        }
+    }
+}
+
+/// All manifests have it, and it was not released yet.
+fn one_version(tag: &str) -> Result<(), String> {
+    if !said(&mut git(&format!("tag --list {tag}")))?.is_empty() {
+        return Err(format!("{tag} is there already: count `version` in Cargo.toml up"));
+    }
+    let manifests = said(&mut git("ls-files *Cargo.toml *package.xml"))?;
+    for path in manifests.lines() {
+        if let Some(other) = versions(&read(path)?).find(|version| *version != VERSION && *version != "0.0.0")
+        {
+            return Err(format!("{path} has version {other}, Cargo.toml {VERSION}: make them the same"));
+        }
+    }
+    Ok(())
+}
+
+/// The versions that a manifest gives its package, or packages of this repository.
+fn versions(manifest: &str) -> impl Iterator<Item = &str> {
+    manifest.lines().filter_map(|line| {
+        let line = line.trim();
+        let is_own = line.starts_with("version = \"") || line.contains("{ path = \"");
+        let (from, end) = if is_own { ("version = \"", '"') } else { ("<version>", '<') };
+        Some(line.split_once(from)?.1.split_once(end)?.0)
+    })
+}
+
+/// What the changelog says of a version that has a day.
+fn section<'t>(changelog: &'t str, version: &str) -> Result<&'t str, String> {
+    let head = format!("\n## {version} (");
+    let (_, rest) = changelog.split_once(&head).ok_or_else(|| {
+        format!("CHANGELOG.md has no section `## {version} (<day>)`: write what users get with it")
+    })?;
+    let (day, rest) = rest.split_once(")\n").unwrap_or((rest, ""));
+    let is_day = day.len() == 10 && day.split('-').map(str::len).eq([4, 2, 2]);
+    if !is_day || !day.bytes().all(|byte| byte.is_ascii_digit() || byte == b'-') {
+        return Err(format!(
+            "CHANGELOG.md has `{version} ({day})`: write the day of the release, such as (2026-12-01)"
+        ));
+    }
+    let text = rest.split("\n## ").next().unwrap_or_default().trim();
+    if text.is_empty() { Err(format!("CHANGELOG.md says nothing of {version}")) } else { Ok(text) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_release_has_a_section_with_its_day() {
+        let log = "# Changelog\n\n## 0.2.0 (2026-12-24)\n\nNew.\n- One.\n\n## 0.1.0 (unreleased)\n\nThe first.\n\n## 0.0.1 (2026-01-01)\n\n";
+        assert_eq!(section(log, "0.2.0").unwrap(), "New.\n- One.");
+        for (version, reason) in [
+            ("0.3.0", "has no section `## 0.3.0 (<day>)`"),
+            ("0.1.0", "`0.1.0 (unreleased)`: write the day"),
+            ("0.0.1", "says nothing of 0.0.1"),
+        ] {
+            let refusal = section(log, version).unwrap_err();
+            assert!(refusal.contains(reason), "{refusal}");
+        }
+    }
+
+    #[test]
+    fn versions_of_other_packages_are_none_of_ours() {
+        let manifest = "[package]\nversion = \"0.1.0\"\nrust-version = \"1.89\"\n[dependencies]\nserde = { version = \"1\" }\n\
+                        tautline = { path = \"../node\", version = \"0.2.0\" }\ntaut = { path = \"cli\" }\n";
+        assert_eq!(versions(manifest).collect::<Vec<_>>(), ["0.1.0", "0.2.0"]);
+        assert_eq!(
+            versions("<package format=\"3\">\n  <version>0.3.0</version>\n").collect::<Vec<_>>(),
+            ["0.3.0"]
+        );
+    }
+
+    #[test]
+    fn every_manifest_has_this_version() {
+        assert_eq!(one_version("v0.0.0-none"), Ok(()));
+    }
+}
