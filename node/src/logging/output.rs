@@ -125,7 +125,6 @@ fn lock() -> MutexGuard<'static, Sink> {
     SINK.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The one who writes.
 struct Writing {
     sink: MutexGuard<'static, Sink>,
     // Dropped after the lock: the last one of a context ends threads that may log.

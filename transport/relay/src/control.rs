@@ -292,7 +292,6 @@ pub struct MirrorControl<F: FarSide> {
     started: Instant,
 }
 
-/// A class that is taken.
 struct TakenClass {
     inward: Inward,
     /// Whether it has a port that offers `inward.offered`: as soon as there is a publisher.
