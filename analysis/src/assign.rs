@@ -91,7 +91,6 @@ fn threads_placed(tasks: &[Task]) -> usize {
     levels.len()
 }
 
-/// The tasks of each thread.
 fn threads(tasks: &[Task]) -> Vec<Vec<usize>> {
     let mut threads: Vec<Vec<usize>> = Vec::new();
     for (i, task) in tasks.iter().enumerate() {

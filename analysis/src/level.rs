@@ -145,7 +145,6 @@ impl First {
 /// The tasks of one core, checked, with their costs.
 pub(crate) struct Core<'a> {
     tasks: &'a [Task],
-    /// The demand of each task.
     callbacks: Vec<Demand>,
     /// The demand of each task as the others see it: the same, except for tasks with a reservation.
     delays: Vec<Demand>,
@@ -211,7 +210,6 @@ impl Effort {
 struct Shared {
     /// The longest response from an arrival.
     arrival_ns: u64,
-    /// The busy window.
     busy_ns: u64,
     /// When the last of its jobs ends, after the begin of that window.
     end_ns: u64,

@@ -188,7 +188,6 @@ impl Out {
 }
 
 struct Conversion<'h> {
-    /// The folder that is written.
     folder: PathBuf,
     out: Out,
     hooks: Hooks<'h>,

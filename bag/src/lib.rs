@@ -59,7 +59,6 @@ pub enum Compression {
 }
 
 impl Compression {
-    /// As a chunk names it.
     fn of_name(name: &str) -> Self {
         match name {
             "zstd" => Compression::Zstd,

@@ -28,7 +28,6 @@ const OF_FILE: u64 = 8 << 10;
 
 /// The records that say how a file came to be, and what was lost.
 const SESSION: &str = "tautline:session";
-/// As [`SESSION`].
 const RECORDING: &str = "tautline:recording";
 
 /// The options of a [`Writer`].
@@ -364,7 +363,6 @@ impl Open {
         if self.pending >= CHUNK_BYTES { self.hand_over() } else { Ok(()) }
     }
 
-    /// The next topic.
     pub(crate) fn add_topic(&mut self, topic: &Topic) -> Result<TopicId, BagError> {
         let Topic { name, type_name, type_hash, encoding, definition, qos, metadata } = topic;
         let (of_definition, data) = match definition {

@@ -31,7 +31,6 @@ pub struct ApplyArgs {
     common: CommonArgs,
 }
 
-/// Runs the verb.
 pub fn run(args: &ApplyArgs) -> Outcome<ExitCode> {
     args.common.bound();
     if let Err(error) = SystemFile::read(&args.file) {

@@ -35,7 +35,6 @@ impl Caller {
         Ok(Caller { node, end, context, sampler: Some(sampler) })
     }
 
-    /// Calls one service and returns its response.
     pub fn call<T: Service>(&mut self, service: &str, request: T::Request) -> Outcome<T::Response> {
         let response = self.call_all::<T>(vec![(service.to_owned(), request)])?.remove(0);
         response.map_err(|error| Failure::no(no_response(&error)))
@@ -72,7 +71,6 @@ impl Caller {
         Ok(responses)
     }
 
-    /// Waits for another future.
     pub fn wait<T>(&self, what: impl Fn() -> String, future: impl Future<Output = T>) -> Outcome<T> {
         self.end.wait(what, poll_future(future))
     }

@@ -13,7 +13,6 @@ pub struct Mismatch<'g> {
 }
 
 impl Mismatch<'_> {
-    /// The reason as a sentence.
     pub fn reason(&self) -> String {
         let policy =
             self.policy.map(|policy| format!("the offered {policy} does not meet the requested one"));

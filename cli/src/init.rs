@@ -45,7 +45,6 @@ pub struct InitArgs {
     common: CommonArgs,
 }
 
-/// Runs the verb.
 pub fn run(args: &InitArgs) -> Outcome<ExitCode> {
     let path = args.file.display();
     if args.file.exists() {

@@ -94,7 +94,6 @@ impl Only {
     }
 }
 
-/// Runs the verb.
 pub fn run(args: &InterfaceArgs) -> Outcome {
     let common = &args.common;
     let mut out = crate::print::stdout();

@@ -43,7 +43,7 @@ pub mod verb;
 
 use clap::{CommandFactory, Parser, Subcommand};
 use std::process::ExitCode;
-use verb::Failure;
+use verb::{Failure, Verbs};
 
 /// Zero-copy, real-time middleware for robots.
 #[derive(Parser)]
@@ -76,17 +76,17 @@ enum Verb {
     Report(report::ReportArgs),
     Msg(msg::MsgArgs),
     Interface(interface::InterfaceArgs),
-    Topic(topic::TopicArgs),
+    Topic(Verbs<topic::Verb>),
     /// Shows callbacks, topics and cores as they are now: response times beside their bounds, rates, losses, load
     Top(sibling::PassedOn),
-    Node(node::NodeArgs),
+    Node(Verbs<node::Verb>),
     Graph(graph::GraphArgs),
-    Service(service::ServiceArgs),
-    Action(action::ActionArgs),
-    Param(param::ParamArgs),
-    Lifecycle(lifecycle::LifecycleArgs),
+    Service(Verbs<service::Verb>),
+    Action(Verbs<action::Verb>),
+    Param(Verbs<param::Verb>),
+    Lifecycle(Verbs<lifecycle::Verb>),
     Log(log::LogArgs),
-    Trace(trace::TraceArgs),
+    Trace(Verbs<trace::Verb>),
     /// Records topics into a bag, as rosbag2 writes them: MCAP files and a metadata.yaml
     Record(sibling::PassedOn),
     /// Publishes the messages of a bag at the times of their reception

@@ -3,8 +3,8 @@
 
 use crate::call::{Caller, no_response, node_serving, nodes_serving};
 use crate::completions;
-use crate::verb::{CommonArgs, End, Failure, Outcome};
-use clap::{Args, Subcommand};
+use crate::verb::{CommonArgs, End, Failure, Outcome, Verbs};
+use clap::Subcommand;
 use serde_json::{Value, json};
 use std::io::Write;
 use std::time::Duration;
@@ -20,7 +20,7 @@ const UNMANAGED: &str = "is not managed";
 /// Prints and changes the states of managed nodes.
 ///
 /// Nodes of other hosts are visible if this host runs `taut gateway`.
-#[derive(Args, Clone, Debug)]
+#[derive(Subcommand, Clone, Debug)]
 #[command(after_help = "Examples:
   taut lifecycle nodes
   taut lifecycle get                of all nodes, in parallel
@@ -28,15 +28,7 @@ const UNMANAGED: &str = "is not managed";
   taut lifecycle set /camera configure
 
 Exit codes: 0 done, 1 the answer is no, 2 the arguments cannot be used.")]
-pub struct LifecycleArgs {
-    #[command(subcommand)]
-    verb: Verb,
-    #[command(flatten)]
-    common: CommonArgs,
-}
-
-#[derive(Subcommand, Clone, Debug)]
-enum Verb {
+pub enum Verb {
     /// Prints the managed nodes
     Nodes,
     /// Prints the state of a node, or of all
@@ -65,8 +57,7 @@ enum Verb {
     },
 }
 
-/// Runs the verb.
-pub fn run(args: &LifecycleArgs) -> Outcome {
+pub fn run(args: &Verbs<Verb>) -> Outcome {
     let common = &args.common;
     match &args.verb {
         Verb::Nodes => {

@@ -113,7 +113,6 @@ impl Level {
     }
 }
 
-/// Runs the verb.
 pub fn run(args: &LogArgs) -> Outcome {
     match &args.verb {
         None => Lines::open(&args.lines, &args.common)?.run(),
@@ -286,7 +285,6 @@ fn word(level: u8) -> String {
     }
 }
 
-/// The logger of a node.
 fn logger_of(node: &str) -> String {
     node.trim_start_matches('/').replace('/', ".")
 }

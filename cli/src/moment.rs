@@ -18,7 +18,6 @@ pub struct Moment {
     pub length_ns: u64,
 }
 
-/// How a [`Kind`] is serialized.
 #[derive(Serialize, Deserialize)]
 #[serde(remote = "Kind", rename_all = "snake_case")]
 enum KindName {

@@ -4,8 +4,8 @@
 use crate::arguments::full_name;
 use crate::call::action_of;
 use crate::completions;
-use crate::verb::{CommonArgs, Failure, Outcome};
-use clap::{Args, Subcommand};
+use crate::verb::{Failure, Outcome, Verbs};
+use clap::Subcommand;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -15,20 +15,12 @@ use tautline_transport::{EndpointKind, GraphSnapshot, NodeInfo, ServiceKind, gra
 /// Lists nodes, and the topics, services and actions of a node.
 ///
 /// Nodes of other hosts are visible if this host runs `taut gateway`.
-#[derive(Args, Clone, Debug)]
+#[derive(Subcommand, Clone, Debug)]
 #[command(after_help = "Examples:
   taut node list
   taut node info /robot/camera
   taut node info camera --json")]
-pub struct NodeArgs {
-    #[command(subcommand)]
-    verb: Verb,
-    #[command(flatten)]
-    common: CommonArgs,
-}
-
-#[derive(Subcommand, Clone, Debug)]
-enum Verb {
+pub enum Verb {
     /// Prints the nodes, each with its process, or with its place if it is on another host
     List,
     /// Prints the topics, services and actions of a node
@@ -39,8 +31,7 @@ enum Verb {
     },
 }
 
-/// Runs the verb.
-pub fn run(args: &NodeArgs) -> Outcome {
+pub fn run(args: &Verbs<Verb>) -> Outcome {
     let graph = graph_of(args.common.domain()?)?;
     for pair in graph.nodes.chunk_by(|one, other| one.name == other.name).filter(|same| same.len() > 1) {
         eprintln!("taut: {} nodes are called {}", pair.len(), pair[0].name);

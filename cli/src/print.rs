@@ -15,7 +15,6 @@ pub enum Colour {
     Red,
 }
 
-/// The end of a colour.
 const END: char = '\u{fdd0}';
 /// Moves the cursor to the upper left and clears a terminal's screen; nothing elsewhere.
 pub const CLEAR: char = '\u{fdd4}';
@@ -68,7 +67,6 @@ impl<W: Write> Write for Painted<W> {
     }
 }
 
-/// Prints to `to`.
 fn printer<W: Write + IsTerminal + anstream::stream::RawStream>(to: W) -> Escaped<impl Write> {
     let is_coloured = anstream::AutoStream::choice(&to) != anstream::ColorChoice::Never;
     Escaped::new(Painted { to, is_coloured })

@@ -10,7 +10,6 @@ use tautline_transport::{EndpointKind, Gid, GraphSnapshot, Sent, Visitor};
 #[derive(Default)]
 pub struct RateMeter(BTreeMap<Gid, (Instant, Sent)>);
 
-/// The rate of a publisher.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Rate {
     pub messages_hz: f64,

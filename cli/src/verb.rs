@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What all verbs share: their domain, time limit and output format; how they wait, and how they end.
 
-use clap::Args;
+use clap::{Args, Subcommand};
 use std::cell::Cell;
 use std::error::Error;
 use std::fmt;
@@ -26,13 +26,21 @@ pub struct CommonArgs {
     timeout: Option<Duration>,
 }
 
+// A verb with verbs of its own. It has no doc comment, because that would replace the help text, which is the doc comment of `V`. For the
+// same reason `verb` is last.
+#[derive(Args, Clone, Debug)]
+pub struct Verbs<V: Subcommand> {
+    #[command(flatten)]
+    pub common: CommonArgs,
+    #[command(subcommand)]
+    pub verb: V,
+}
+
 impl CommonArgs {
-    /// The domain's number.
     pub fn domain(&self) -> Result<u32, tautline::Error> {
         self.domain.map_or_else(Context::domain_of_environment, Ok)
     }
 
-    /// Whether the domain was named in the command.
     pub fn is_domain_named(&self) -> bool {
         self.domain.is_some()
     }
@@ -77,16 +85,13 @@ pub struct Failure {
     text: String,
 }
 
-/// How a verb ends.
 pub type Outcome<T = ()> = Result<T, Failure>;
 
 impl Failure {
-    /// The answer is no.
     pub fn no(text: impl Into<String>) -> Self {
         Failure { code: 1, text: text.into() }
     }
 
-    /// The arguments cannot be used.
     pub fn unusable(text: impl Into<String>) -> Self {
         Failure { code: 2, text: text.into() }
     }
@@ -149,13 +154,9 @@ fn no_signals(error: io::Error) -> Failure {
     Failure::unusable(format!("signals cannot be caught: {error}"))
 }
 
-/// How a wait ended.
 pub enum Waited<T> {
-    /// The wait returned this value.
     Ready(T),
-    /// The time limit passed.
     TimedOut,
-    /// A signal ended it.
     Interrupted,
 }
 
@@ -202,17 +203,14 @@ impl End {
         Ok(End { is_firm: true, ..Self::after(Some(left))? })
     }
 
-    /// Whether the end was reached.
     pub fn is_reached(&self) -> bool {
         self.interrupted.load(Ordering::Relaxed) || self.left().is_some_and(|left| left.is_zero())
     }
 
-    /// The whole time limit.
     pub fn timeout(&self) -> Option<Duration> {
         self.timeout
     }
 
-    /// The time that remains.
     pub fn left(&self) -> Option<Duration> {
         self.timeout.map(|timeout| timeout.saturating_sub(self.start.elapsed()))
     }

@@ -430,11 +430,7 @@ fn check_overruns(options: &CallbackOptions, members: &[MemberInfo]) -> Result<(
     Err(ExecutorError::CannotHold { name: options.name.clone(), problem })
 }
 
-impl std::fmt::Debug for Executor {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Executor").field("callbacks", &self.callbacks).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(Executor, |this| callbacks = this.callbacks);
 
 impl Drop for Executor {
     /// As [`Executor::shutdown`]; panics have been printed by the threads they ended.

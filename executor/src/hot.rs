@@ -237,7 +237,6 @@ impl Measured {
     }
 }
 
-/// A job that has begun.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct StartedJob {
     release_ns: u64,
@@ -326,7 +325,6 @@ impl Wake for ParkerWaker {
     }
 }
 
-/// A waker that unparks.
 #[allow(clippy::disallowed_methods, reason = "set-up")]
 pub(crate) fn waker_of(parker: &Arc<dyn Parker>) -> Waker {
     Waker::from(Arc::new(ParkerWaker(Arc::clone(parker))))

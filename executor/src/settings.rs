@@ -86,8 +86,4 @@ fn set(callback: &CallbackShared, name: &str, policy: Policy) -> Result<Policy, 
     Ok(former)
 }
 
-impl std::fmt::Debug for CallbackSettings {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("CallbackSettings").finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(CallbackSettings);

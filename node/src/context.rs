@@ -79,11 +79,7 @@ impl AsRef<Participant> for Context {
     }
 }
 
-impl std::fmt::Debug for Context {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Context").field("domain", &self.domain()).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(Context, |this| domain = this.domain());
 
 /// The settings of a context.
 #[derive(Clone, Debug)]

@@ -41,6 +41,10 @@ pub struct TopicEndpointInfo {
 /// Questions about the graph. They are for setting up: each allocates, and reads what has changed since the last
 /// one, whatever else there is.
 ///
+/// # Errors
+/// [`Error::Name`](crate::Error::Name): the name of a topic or a service is not valid. [`Error::Transport`](crate::Error::Transport): the
+/// domain's topics cannot be listed, or the thread of [`graph_events`](Self::graph_events), one for all of a context, cannot be started.
+///
 /// ```
 /// use futures::executor::block_on;
 /// use tautline::{Context, Node, Qos, Realtime, std_msgs::msg::String as Text};
@@ -64,42 +68,27 @@ impl Node {
     }
 
     /// The fully qualified names of the domain's nodes, sorted by namespace. A name of two nodes is listed twice.
-    ///
-    /// # Errors
-    /// [`Error::Transport`](crate::Error::Transport) if the domain's topics cannot be listed.
     pub fn get_node_names(&self) -> Result<Vec<String>> {
         Ok(self.graph()?.nodes.iter().map(|node| node.name.full_name()).collect())
     }
 
     /// The names of the domain's nodes with their namespaces, sorted by namespace.
-    ///
-    /// # Errors
-    /// As [`get_node_names`](Self::get_node_names).
     pub fn get_node_names_and_namespaces(&self) -> Result<Vec<(String, String)>> {
         let names = |node: &Arc<NodeInfo>| (node.name.name.clone(), node.name.namespace.clone());
         Ok(self.graph()?.nodes.iter().map(names).collect())
     }
 
     /// The domain's topics with their types.
-    ///
-    /// # Errors
-    /// As [`get_node_names`](Self::get_node_names).
     pub fn get_topic_names_and_types(&self) -> Result<HashMap<String, Vec<String>>> {
         Ok(topics(&*self.graph()?, |_| true))
     }
 
     /// The domain's services that have a server, with their types.
-    ///
-    /// # Errors
-    /// As [`get_node_names`](Self::get_node_names).
     pub fn get_service_names_and_types(&self) -> Result<HashMap<String, Vec<String>>> {
         Ok(services(&*self.graph()?, ServiceKind::Server, |_| true))
     }
 
     /// The domain's actions that have a server, with their types.
-    ///
-    /// # Errors
-    /// As [`get_node_names`](Self::get_node_names).
     pub fn get_action_names_and_types(&self) -> Result<HashMap<String, Vec<String>>> {
         let mut found: HashMap<String, Vec<String>> = HashMap::new();
         for (service, types) in self.get_service_names_and_types()? {
@@ -111,9 +100,6 @@ impl Node {
     }
 
     /// The topics that a node publishes, with their types.
-    ///
-    /// # Errors
-    /// As [`get_node_names`](Self::get_node_names).
     pub fn get_publisher_names_and_types_by_node(
         &self,
         node_name: &str,
@@ -123,9 +109,6 @@ impl Node {
     }
 
     /// The topics that a node subscribes to, with their types.
-    ///
-    /// # Errors
-    /// As [`get_node_names`](Self::get_node_names).
     pub fn get_subscriber_names_and_types_by_node(
         &self,
         node_name: &str,
@@ -135,9 +118,6 @@ impl Node {
     }
 
     /// The services of which a node has a server, with their types.
-    ///
-    /// # Errors
-    /// As [`get_node_names`](Self::get_node_names).
     pub fn get_service_names_and_types_by_node(
         &self,
         node_name: &str,
@@ -147,9 +127,6 @@ impl Node {
     }
 
     /// The services of which a node has a client, with their types.
-    ///
-    /// # Errors
-    /// As [`get_node_names`](Self::get_node_names).
     pub fn get_client_names_and_types_by_node(
         &self,
         node_name: &str,
@@ -179,17 +156,11 @@ impl Node {
     }
 
     /// The publishers of a topic.
-    ///
-    /// # Errors
-    /// [`Error::Name`](crate::Error::Name); as [`get_node_names`](Self::get_node_names).
     pub fn get_publishers_info_by_topic(&self, topic_name: &str) -> Result<Vec<TopicEndpointInfo>> {
         self.ends(topic_name, EndpointKind::Publisher)
     }
 
     /// The subscriptions of a topic.
-    ///
-    /// # Errors
-    /// As [`get_publishers_info_by_topic`](Self::get_publishers_info_by_topic).
     pub fn get_subscriptions_info_by_topic(&self, topic_name: &str) -> Result<Vec<TopicEndpointInfo>> {
         self.ends(topic_name, EndpointKind::Subscription)
     }
@@ -202,26 +173,17 @@ impl Node {
     }
 
     /// How many publishers a topic has.
-    ///
-    /// # Errors
-    /// As [`get_publishers_info_by_topic`](Self::get_publishers_info_by_topic).
     pub fn count_publishers(&self, topic_name: &str) -> Result<usize> {
         Ok(count(&*self.graph()?, &self.resolve_topic_name(topic_name)?, EndpointKind::Publisher))
     }
 
     /// How many subscriptions a topic has.
-    ///
-    /// # Errors
-    /// As [`get_publishers_info_by_topic`](Self::get_publishers_info_by_topic).
     pub fn count_subscribers(&self, topic_name: &str) -> Result<usize> {
         Ok(count(&*self.graph()?, &self.resolve_topic_name(topic_name)?, EndpointKind::Subscription))
     }
 
     /// A stream that yields an item when something in the domain has appeared or disappeared since its last item,
     /// or since the stream was created.
-    ///
-    /// # Errors
-    /// [`Error::Transport`](crate::Error::Transport) if its thread, one for all of a context, cannot be started.
     pub fn graph_events(&self) -> Result<GraphEvents> {
         Ok(self.participant.graph_events()?)
     }
@@ -229,9 +191,6 @@ impl Node {
     /// Waits until there is a node with this fully qualified name. Like the other waiting futures, it checks only when the
     /// graph changes, borrows nothing from the node, and stops waiting when it is dropped. The check allocates: it is not for
     /// callbacks with deadlines.
-    ///
-    /// # Errors
-    /// As [`graph_events`](Self::graph_events). Errors of the future: those of [`get_node_names`](Self::get_node_names).
     pub fn wait_for_node(
         &self,
         fully_qualified_node_name: &str,
@@ -241,9 +200,6 @@ impl Node {
     }
 
     /// Waits until the service has a server.
-    ///
-    /// # Errors
-    /// [`Error::Name`](crate::Error::Name); as [`wait_for_node`](Self::wait_for_node).
     pub fn wait_for_service(
         &self,
         service_name: &str,
@@ -256,9 +212,6 @@ impl Node {
     }
 
     /// Waits until a topic has at least `count` publishers.
-    ///
-    /// # Errors
-    /// As [`wait_for_service`](Self::wait_for_service).
     pub fn wait_for_publishers(
         &self,
         topic_name: &str,
@@ -269,9 +222,6 @@ impl Node {
     }
 
     /// Waits until a topic has at least `count` subscriptions.
-    ///
-    /// # Errors
-    /// As [`wait_for_service`](Self::wait_for_service).
     pub fn wait_for_subscribers(
         &self,
         topic_name: &str,

@@ -32,7 +32,6 @@ fn check_length(name: &str, kind: &'static str, max: usize) -> Result<()> {
     Err(invalid(name, kind, format!("it has {} characters, the limit is {max}", name.len())))
 }
 
-/// Checks a node's name.
 pub(crate) fn check_node(name: &str) -> Result<()> {
     let refuse = |reason: String| invalid(name, "node name", reason);
     if name.is_empty() {

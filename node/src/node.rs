@@ -456,14 +456,7 @@ impl Drop for Life {
     }
 }
 
-impl std::fmt::Debug for Node {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Node")
-            .field("name", &self.name)
-            .field("namespace", &self.namespace)
-            .finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(Node, |this| name = this.name, namespace = this.namespace);
 
 const _: () = {
     const fn is_send<T: Send>() {}

@@ -50,7 +50,6 @@ enum Effect {
     },
 }
 
-/// What a name names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum NameKind {
     Topic,

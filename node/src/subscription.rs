@@ -35,9 +35,6 @@ impl<T: Decode> Subscription<T> {
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall. The message is checked: see [`Message::view`](crate::Message::view).
-    ///
-    /// # Errors
-    /// [`TakeError`].
     pub fn try_take(&self) -> Result<Option<Sample<T>>, TakeError> {
         self.samples.source().try_take()
     }
@@ -82,18 +79,13 @@ impl<T: Decode> Subscription<T> {
     }
 }
 
-/// The untyped subscription.
 impl<T: Decode> AsRef<RawSubscription> for Subscription<T> {
     fn as_ref(&self) -> &RawSubscription {
         self.samples.source().raw()
     }
 }
 
-impl<T: Decode> std::fmt::Debug for Subscription<T> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Subscription").field("topic", &self.topic()).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!([T: Decode] Subscription<T>, |this| topic = this.topic());
 
 impl<T: Decode> Stream for Subscription<T> {
     type Item = Sample<T>;
@@ -125,7 +117,6 @@ impl<T: Decode> join::Source for Subscription<T> {
     }
 }
 
-/// By the stamp of its header.
 impl<T: HasStamp> join::Stamped for Subscription<T> {
     fn stamp_ns(&self, sample: &Sample<T>) -> i64 {
         T::stamp_ns(sample.view())

@@ -123,11 +123,7 @@ impl TransformListener {
     }
 }
 
-impl std::fmt::Debug for TransformListener {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("TransformListener").field("counters", &self.buffer.counters()).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(TransformListener, |this| counters = this.buffer.counters());
 
 impl Drop for TransformListener {
     fn drop(&mut self) {
@@ -192,10 +188,7 @@ impl TransformBroadcaster {
 
     /// Publishes a message, which is written into shared memory unchanged: keep one message and modify it.
     ///
-    /// # Real-time
-    /// As [`Publisher::publish`].
-    ///
-    /// # Errors
+    /// # Real-time and errors
     /// As [`Publisher::publish`].
     pub fn send(&self, message: &TFMessage) -> std::result::Result<(), PublishError> {
         self.publisher.publish(message)

@@ -121,11 +121,7 @@ impl Timer {
     }
 }
 
-impl std::fmt::Debug for Timer {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Timer").field("period_ns", &self.inner.period_ns()).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(Timer, |this| period_ns = this.inner.period_ns());
 
 impl Stream for Timer {
     type Item = Tick;

@@ -40,6 +40,20 @@
 //! # Ok::<(), tautline_rt::RtError>(())
 //! ```
 
+/// Implements `Debug` for a type of which only the named fields say something to people: `debug_fields!([T: Codec] Publisher<T>, |this|
+/// topic = this.topic())`.
+#[macro_export]
+macro_rules! debug_fields {
+    ($([$($bounds:tt)*])? $type:ident $(<$($arguments:tt),*>)? $(, |$this:ident| $($field:ident = $value:expr),*)?) => {
+        impl $(<$($bounds)*>)? ::core::fmt::Debug for $type $(<$($arguments),*>)? {
+            fn fmt(&self, f: &mut ::core::fmt::Formatter<'_>) -> ::core::fmt::Result {
+                $(let $this = self;)?
+                f.debug_struct(stringify!($type))$($(.field(stringify!($field), &$value))*)?.finish_non_exhaustive()
+            }
+        }
+    };
+}
+
 mod budget;
 mod caches;
 mod core_time;

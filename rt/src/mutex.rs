@@ -88,11 +88,7 @@ impl<T> Drop for PiMutex<T> {
     }
 }
 
-impl<T> std::fmt::Debug for PiMutex<T> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("PiMutex").finish_non_exhaustive()
-    }
-}
+crate::debug_fields!([T] PiMutex<T>);
 
 /// The right to use the value of a [`PiMutex`], until it is dropped.
 #[must_use = "the mutex is unlocked when this is dropped"]

@@ -96,9 +96,6 @@ impl OwnFile {
     ///
     /// # Real-time
     /// Setup only.
-    ///
-    /// # Errors
-    /// [`ShmError`].
     pub fn create(prefix: &str) -> Result<OwnFile, ShmError> {
         loop {
             let id = random();
@@ -152,17 +149,11 @@ impl OwnFile {
     ///
     /// # Real-time
     /// Setup only.
-    ///
-    /// # Errors
-    /// [`ShmError`].
     pub fn claim(&self, offset: u64, len: u64) -> Result<(), ShmError> {
         claim(&self.file, offset, len).map_err(ShmError::of(&self.path))
     }
 
     /// Releases the memory of `len` bytes from `offset` on; they then read as zeros. Whole pages only.
-    ///
-    /// # Errors
-    /// [`ShmError`].
     pub fn give_back(&self, offset: u64, len: u64) -> Result<(), ShmError> {
         let flags = FallocateFlags::PUNCH_HOLE | FallocateFlags::KEEP_SIZE;
         let punched = rustix::fs::fallocate(&self.file, flags, offset, len);
@@ -170,9 +161,6 @@ impl OwnFile {
     }
 
     /// Sets the file's length to `len` bytes, without claiming memory.
-    ///
-    /// # Errors
-    /// [`ShmError`].
     pub fn set_len(&self, len: u64) -> Result<(), ShmError> {
         rustix::fs::ftruncate(&self.file, len).map_err(|errno| ShmError::of(&self.path)(errno.into()))
     }
@@ -241,9 +229,6 @@ impl PeerFile {
     }
 
     /// Its present length.
-    ///
-    /// # Errors
-    /// [`ShmError`].
     pub fn size_bytes(&self) -> Result<u64, ShmError> {
         let stat = rustix::fs::fstat(&self.file).map_err(|errno| ShmError::of(&self.path)(errno.into()))?;
         Ok(u64::try_from(stat.st_size).unwrap_or(0))

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Blocks of 64-bit words that one thread writes and others read, in this process or in another.
 
-use std::fmt;
 use std::io;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
@@ -49,11 +48,7 @@ impl Deref for Words {
     }
 }
 
-impl fmt::Debug for Words {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Words").field("len", &self.len()).finish_non_exhaustive()
-    }
-}
+crate::debug_fields!(Words, |this| len = this.len());
 
 /// A file of words in /dev/shm. The process that created it holds its lock as long as it is alive, and removes it at its
 /// end. If that process was killed, any process that can lock the file may remove it.

@@ -17,14 +17,11 @@ use tautline_rt::shm::{self, PeerFile, ShmError, has_name};
 const ON: &[u8] = b"1";
 const OFF: &[u8] = b"0";
 
-/// The request of a recorder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum RecorderRequest {
-    /// There is no recorder.
     Nothing,
     /// A recorder collects the remaining events and ends.
     Finish,
-    /// Record.
     Record,
 }
 

@@ -15,7 +15,6 @@ use tautline_rt::fork::{map_shared, unmap_shared};
 pub(crate) const RINGS: usize = 64;
 /// Nodes, publishers, subscriptions, callbacks, timers of one process that are described at once.
 pub(crate) const OBJECTS: usize = 1024;
-/// Bytes of a name that are kept.
 pub(crate) const NAME_BYTES: usize = 192;
 /// Events of one ring: a power of two within this range.
 pub(crate) const MIN_EVENTS: usize = 16;

@@ -11,11 +11,9 @@ use std::cell::Cell;
 /// Where the current thread's events go.
 #[derive(Clone, Copy)]
 pub(crate) enum EventSink {
-    /// Nowhere: there is no file.
     Nowhere,
     /// No ring is free: they are counted.
     Counted(&'static sync::AtomicU64),
-    /// To a ring.
     Ring(Ring<'static>),
 }
 

@@ -223,11 +223,7 @@ impl<L, E> SendError<L, E> {
     }
 }
 
-impl<L, E: fmt::Debug> fmt::Debug for SendError<L, E> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("SendError").field("error", &self.error).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!([L, E: fmt::Debug] SendError<L, E>, |this| error = this.error);
 
 impl<L, E: fmt::Display> fmt::Display for SendError<L, E> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -55,6 +55,7 @@ pub enum Liveliness {
 /// assert_eq!((LATCHED.depth, LATCHED.durability), (1, Durability::TransientLocal));
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[must_use = "it returns the changed QoS"]
 pub struct Qos {
     /// See [`History`].
     pub history: History,
@@ -116,74 +117,62 @@ impl Qos {
     }
 
     /// Sets the history policy.
-    #[must_use = "it returns the changed QoS"]
     pub const fn history(self, history: History) -> Self {
         Qos { history, ..self }
     }
 
     /// Sets the depth, or the bound of keep-all.
-    #[must_use = "it returns the changed QoS"]
     pub const fn depth(self, depth: usize) -> Self {
         Qos { depth, ..self }
     }
 
     /// Sets the reliability policy.
-    #[must_use = "it returns the changed QoS"]
     pub const fn reliability(self, reliability: Reliability) -> Self {
         Qos { reliability, ..self }
     }
 
     /// The network retransmits lost samples.
-    #[must_use = "it returns the changed QoS"]
     pub const fn reliable(self) -> Self {
         self.reliability(Reliability::Reliable)
     }
 
     /// The network may lose samples.
-    #[must_use = "it returns the changed QoS"]
     pub const fn best_effort(self) -> Self {
         self.reliability(Reliability::BestEffort)
     }
 
     /// Sets the durability policy.
-    #[must_use = "it returns the changed QoS"]
     pub const fn durability(self, durability: Durability) -> Self {
         Qos { durability, ..self }
     }
 
     /// Late joiners get what is published after they joined.
-    #[must_use = "it returns the changed QoS"]
     pub const fn volatile(self) -> Self {
         self.durability(Durability::Volatile)
     }
 
     /// Late joiners get the last `depth` samples as well.
-    #[must_use = "it returns the changed QoS"]
     pub const fn transient_local(self) -> Self {
         self.durability(Durability::TransientLocal)
     }
 
     /// Sets the deadline. Zero is refused when an endpoint is created.
-    #[must_use = "it returns the changed QoS"]
     pub const fn deadline(self, deadline: Duration) -> Self {
         Qos { deadline: Some(deadline), ..self }
     }
 
     /// Sets the lifespan. Zero is refused when an endpoint is created.
-    #[must_use = "it returns the changed QoS"]
     pub const fn lifespan(self, lifespan: Duration) -> Self {
         Qos { lifespan: Some(lifespan), ..self }
     }
 
     /// Sets the liveliness policy.
-    #[must_use = "it returns the changed QoS"]
     pub const fn liveliness(self, liveliness: Liveliness) -> Self {
         Qos { liveliness, ..self }
     }
 
     /// Sets the lease duration of a publisher whose liveliness is manual. Zero is refused when an endpoint is
     /// created.
-    #[must_use = "it returns the changed QoS"]
     pub const fn liveliness_lease_duration(self, lease: Duration) -> Self {
         Qos { liveliness_lease_duration: Some(lease), ..self }
     }

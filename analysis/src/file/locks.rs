@@ -43,7 +43,6 @@ pub(super) struct Lock {
     pub protocol: LockProtocol,
 }
 
-/// All locks of a file.
 pub(super) fn of(file: &Declared, streams: &Streams) -> Vec<Lock> {
     let of = |(i, callback): (usize, &Callback)| {
         let (task, protocol) = (streams.tasks(i).start, file.protocol);

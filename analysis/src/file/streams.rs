@@ -10,7 +10,6 @@ const MAX_STREAMS: usize = 64;
 /// One way that releases reach a callback.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Source {
-    /// Its own period.
     Period,
     /// A topic whose publisher is not in the file, by index.
     Outside(usize),
@@ -27,14 +26,12 @@ pub(super) struct Streams {
     topics: Vec<Vec<usize>>,
     /// Whether the callback waits for all of them.
     joins: Vec<bool>,
-    /// Its first task.
     first: Vec<usize>,
 }
 
 /// What is released by itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum First {
-    /// A callback with a period.
     Callback(usize),
     /// A topic whose publisher is not in the file.
     Topic(usize),

@@ -15,7 +15,6 @@ const MAX_JITTER_PERIODS: u64 = 100;
 
 pub(super) type Outcomes = Vec<Result<Response, AnalysisError>>;
 
-/// All that is found.
 pub(super) struct Solved {
     /// Of each callback.
     pub outcomes: Outcomes,

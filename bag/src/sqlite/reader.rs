@@ -173,7 +173,6 @@ impl Database {
         }
     }
 
-    /// By type.
     fn definitions(&self) -> Result<BTreeMap<String, Definition>, BagError> {
         self.columns("message_definitions", &["topic_type", "encoding", "encoded_message_definition"])?;
         let text =

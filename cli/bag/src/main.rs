@@ -12,12 +12,13 @@ mod terminal;
 
 use clap::Subcommand;
 use std::process::ExitCode;
+use taut_cli::verb::Verbs;
 
 #[derive(Subcommand)]
 enum Verb {
     Record(Box<record::RecordArgs>),
     Play(play::PlayArgs),
-    Bag(bag::BagArgs),
+    Bag(Verbs<bag::Verb>),
 }
 
 fn main() -> ExitCode {

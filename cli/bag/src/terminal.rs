@@ -9,7 +9,6 @@ use std::time::Duration;
 
 /// The maximum length of a line.
 const LONGEST: usize = 4096;
-/// The interval at which the terminal is polled.
 const POLL_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Calls `handle` for each line that is typed at the terminal, if standard input is one. Reads only while this process is in the

@@ -7,8 +7,8 @@ use crate::arguments::full_name;
 use crate::call::action_of;
 use crate::completions;
 use crate::service::{Named, named};
-use crate::verb::{CommonArgs, Failure, Outcome};
-use clap::{Args, Subcommand};
+use crate::verb::{Failure, Outcome, Verbs};
+use clap::Subcommand;
 use serde_json::Value;
 use std::io::{self, Write};
 use tautline_transport::{GraphSnapshot, ServiceKind, graph_of};
@@ -16,22 +16,14 @@ use tautline_transport::{GraphSnapshot, ServiceKind, graph_of};
 /// Lists actions and their nodes, and sends goals.
 ///
 /// Actions of other hosts are visible if this host runs `taut gateway`.
-#[derive(Args, Clone, Debug)]
+#[derive(Subcommand, Clone, Debug)]
 #[command(after_help = "Examples:
   taut action list
   taut action info /fibonacci
   taut action send_goal /fibonacci '{order: 5}' --feedback
 
 Exit codes: 0 done, 1 the answer is no, 2 the arguments cannot be used.")]
-pub struct ActionArgs {
-    #[command(subcommand)]
-    verb: Verb,
-    #[command(flatten)]
-    common: CommonArgs,
-}
-
-#[derive(Subcommand, Clone, Debug)]
-enum Verb {
+pub enum Verb {
     /// Prints the actions with their types and their numbers of servers and clients
     List,
     /// Prints the nodes that serve an action, and those that send it goals
@@ -44,8 +36,7 @@ enum Verb {
     SendGoal(send_goal::SendGoalArgs),
 }
 
-/// Runs the verb.
-pub fn run(args: &ActionArgs) -> Outcome {
+pub fn run(args: &Verbs<Verb>) -> Outcome {
     let common = &args.common;
     if let Verb::SendGoal(args) = &args.verb {
         return send_goal::run(args, common);

@@ -11,7 +11,6 @@ use tautline_analysis::sensitivity;
 pub struct Growth {
     /// The factor of all execution times together.
     load: f64,
-    /// The same without overheads.
     load_without_overheads: f64,
     /// The factor of all overheads together.
     overhead: Option<f64>,

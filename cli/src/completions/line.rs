@@ -78,7 +78,6 @@ impl Line {
         self.options.iter().filter(move |(option, _)| option == id).map(|(_, value)| value.as_str())
     }
 
-    /// The domain of the line.
     pub fn domain(&self) -> Option<u32> {
         match self.option("domain") {
             Some(domain) => domain.parse().ok(),

@@ -74,7 +74,6 @@ fn shorter(name: &str) -> Option<String> {
     }
 }
 
-/// The topics of the domain.
 pub fn topics() -> ArgValueCompleter {
     completer(|asked, _| {
         let Some(domain) = asked.line.domain() else { return Ok(None) };
@@ -86,7 +85,6 @@ pub fn topics() -> ArgValueCompleter {
     })
 }
 
-/// Types of topics of the domain.
 pub fn topic_types() -> ArgValueCompleter {
     completer(|asked, _| {
         let Some(domain) = asked.line.domain() else { return Ok(None) };
@@ -125,7 +123,6 @@ pub fn fields() -> ArgValueCompleter {
     })
 }
 
-/// The nodes of the domain.
 pub fn nodes() -> ArgValueCompleter {
     completer(|asked, _| {
         let Some(domain) = asked.line.domain() else { return Ok(None) };
@@ -139,12 +136,10 @@ fn having(asked: &Asked, service: &str) -> Found {
     Ok(Some(nodes_serving(domain, service)?.into_iter().map(|node| (node, String::new())).collect()))
 }
 
-/// The nodes with parameter services.
 pub fn parameter_nodes() -> ArgValueCompleter {
     completer(|asked, _| having(asked, "list_parameters"))
 }
 
-/// The managed nodes.
 pub fn lifecycle_nodes() -> ArgValueCompleter {
     completer(|asked, _| having(asked, "get_state"))
 }
@@ -154,7 +149,6 @@ pub fn logging_nodes() -> ArgValueCompleter {
     completer(|asked, _| having(asked, "set_logger_levels"))
 }
 
-/// The containers of components.
 pub fn containers() -> ArgValueCompleter {
     completer(|asked, _| having(asked, "_container/list_nodes"))
 }
@@ -175,7 +169,6 @@ fn action(name: &str, type_name: &str) -> Option<(String, String)> {
     action_of(name, type_name).map(|(name, type_name)| (name.to_owned(), type_name.to_owned()))
 }
 
-/// The services of the domain.
 pub fn services() -> ArgValueCompleter {
     completer(|asked, _| ends(asked, false, service))
 }
@@ -185,17 +178,14 @@ pub fn servers() -> ArgValueCompleter {
     completer(|asked, _| ends(asked, true, service))
 }
 
-/// Types of services of the domain.
 pub fn service_types() -> ArgValueCompleter {
     completer(|asked, _| ends(asked, false, |_, type_name| Some((type_name.to_owned(), String::new()))))
 }
 
-/// The actions of the domain.
 pub fn actions() -> ArgValueCompleter {
     completer(|asked, _| ends(asked, false, action))
 }
 
-/// The actions with a server.
 pub fn action_servers() -> ArgValueCompleter {
     completer(|asked, _| ends(asked, true, action))
 }
@@ -300,7 +290,6 @@ pub fn components() -> ArgValueCompleter {
     })
 }
 
-/// The levels of loggers.
 pub fn levels() -> ArgValueCandidates {
     ArgValueCandidates::new(|| {
         ["debug", "info", "warn", "error", "fatal"].map(CompletionCandidate::new).into()

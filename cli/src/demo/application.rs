@@ -36,7 +36,6 @@ pub struct Stamped {
     pub release_ns: u64,
 }
 
-/// One topic and its callback.
 pub struct Topic {
     pub name: String,
     pub period: Duration,

@@ -145,7 +145,6 @@ fn watch_core(args: &DemoArgs, core: usize) -> Result<Interruptions, DemoError> 
     Ok(thread.join()?)
 }
 
-/// Circumstances of the run.
 struct Run {
     core: usize,
     seconds: f64,

@@ -89,7 +89,6 @@ pub enum DemoError {
     Plot(#[from] plot::PlotError),
 }
 
-/// Runs the verb.
 pub fn run(args: DemoArgs) -> Result<ExitCode, DemoError> {
     match args.role {
         None => conductor::run(args),

@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::sync::mpsc;
 
-/// A line of a process.
 #[derive(Serialize, Deserialize, Debug)]
 pub enum Line {
     /// Set up; the publisher may start.
@@ -23,7 +22,6 @@ pub enum Line {
 /// The publisher's result.
 #[derive(Serialize, Deserialize, Debug, Default)]
 pub struct Published {
-    /// Messages published.
     pub messages: u64,
     /// CPU time for that, in nanoseconds.
     pub cpu_ns: u64,
@@ -38,7 +36,6 @@ pub struct Published {
 pub struct Measured {
     /// CPU time of the process beyond the callbacks' own, in nanoseconds.
     pub overhead_cpu_ns: u64,
-    /// One for each topic.
     pub topics: Vec<TopicMeasured>,
     /// The time that was taken from the core, as measured by the process's threads.
     pub seen: Collected,
@@ -64,7 +61,6 @@ impl Job {
     }
 }
 
-/// The measurements of one topic.
 #[derive(Serialize, Deserialize, Debug, Default)]
 pub struct TopicMeasured {
     pub jobs: Vec<Job>,

@@ -60,7 +60,6 @@ pub struct DemoReport {
 /// Prediction and measurement of one topic. The fields up to `max_queue` are part of the contract.
 #[derive(Debug, Clone, Serialize)]
 pub struct TopicReport {
-    /// Name of the topic.
     pub topic: String,
     /// Time between two messages.
     pub period_ms: f64,
@@ -105,7 +104,6 @@ pub struct TopicReport {
 /// A response above the prediction.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct Worst {
-    /// The response time.
     pub response_ms: f64,
     /// The time that the host took during the response.
     pub host_took_ms: f64,
@@ -120,7 +118,6 @@ pub struct Worst {
 
 const NOT_MIDDLEWARE: &[Seen] = &[Seen::Running, Seen::WokenLate, Seen::Waited];
 
-/// The measurements of one topic.
 #[derive(Debug, Clone)]
 pub struct TopicRun {
     /// Name, period, execution time, deadline and priority of the callback.
@@ -177,7 +174,6 @@ impl Loaded {
         Loaded { expected, seen, overheads: Overheads { per_message_ns, ..Overheads::NONE } }
     }
 
-    /// The bound of a task.
     fn bound_ns(&self, index: usize) -> Option<u64> {
         let response = response_time_with(&self.expected, &self.overheads, index, |_| 0);
         Some(response.ok()?.response_ns)

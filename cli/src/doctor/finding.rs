@@ -42,7 +42,6 @@ pub enum Cost {
     None,
     /// The cost in µs, and its source.
     Known(f64, String),
-    /// Unknown, and how to measure it.
     Unknown(&'static str),
 }
 

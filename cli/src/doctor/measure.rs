@@ -102,7 +102,6 @@ fn is_about_cores(error: &RtError) -> bool {
     )
 }
 
-/// The finding.
 pub fn finding(seen: &[Seen]) -> Checked {
     let worst = seen.iter().max_by_key(|seen| seen.sum.longest_ns).ok_or("no core was watched")?;
     let unseen: CoreSet = seen.iter().filter(|seen| seen.sum.window_ns == 0).map(|seen| seen.core).collect();

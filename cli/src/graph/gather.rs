@@ -13,12 +13,10 @@ use crate::verb::{Failure, Outcome};
 use std::collections::{BTreeMap, BTreeSet};
 use tautline_transport::{EndpointKind, Gid, GraphSnapshot, NodeName, Origin, ServiceKind};
 
-/// The selection.
 #[derive(Debug, Default)]
 pub struct Wanted<'a> {
     /// This node, its topics, and the nodes that it is connected to.
     pub node: Option<&'a str>,
-    /// This topic and its nodes.
     pub topic: Option<&'a str>,
     pub services: bool,
     /// Also the endpoints that every node has.

@@ -27,7 +27,6 @@ pub struct Link {
     pub to: usize,
     /// The cost if this link goes from right to left; among several candidates the one with the least cost does.
     pub weight: i64,
-    /// The size of its text.
     pub label: Option<Size>,
 }
 

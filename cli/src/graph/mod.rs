@@ -103,7 +103,6 @@ impl Format {
     }
 }
 
-/// Runs the verb.
 pub fn run(args: &GraphArgs) -> Outcome {
     let format = format_of(args)?;
     let checked = args.system.as_deref().map(read).transpose()?;

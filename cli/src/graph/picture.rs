@@ -187,7 +187,6 @@ impl Edge {
         self.problem.is_some() || self.bound.as_ref().is_some_and(|bound| !bound.met)
     }
 
-    /// Its text.
     pub fn lines(&self) -> Vec<String> {
         let count = (self.count > 1).then(|| format!("{} {}s", self.count, self.word()));
         [count, self.problem.clone(), self.bound.as_ref().map(Bound::text)].into_iter().flatten().collect()

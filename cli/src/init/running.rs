@@ -8,7 +8,6 @@ use std::fmt::Write;
 use tautline_rt::{self as rt, Policy, ThreadInfo};
 use tautline_trace::{EventKind, ObjectId, ObjectKind};
 
-/// What was written.
 pub struct Described {
     pub text: String,
     pub callbacks: usize,
@@ -16,9 +15,7 @@ pub struct Described {
     pub guesses: usize,
 }
 
-/// A callback that ran.
 struct Callback {
-    /// Its key in the file.
     key: String,
     node: String,
     process: u32,
@@ -31,7 +28,6 @@ struct Callback {
 
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord)]
 enum Trigger {
-    /// With its period.
     Timer(u64),
     Topic(String),
     /// A stream of the program's own.

@@ -84,7 +84,6 @@ impl MsgError {
     }
 }
 
-/// Runs the verb.
 pub fn run(args: MsgArgs) -> Result<ExitCode, MsgError> {
     // A domain that cannot be read has no types.
     let domain = tautline::Context::domain_of_environment().unwrap_or_default();

@@ -95,13 +95,11 @@ impl Report {
         })
     }
 
-    /// For machines.
     pub fn json(&self) -> String {
         // Strings and numbers can always be serialised.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 
-    /// For people.
     pub fn text(&self) -> String {
         let mut text = format!("{}\n{}\n{}\n", self.name, self.hash, self.file);
         for message in &self.messages {

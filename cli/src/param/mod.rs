@@ -7,7 +7,7 @@ mod value;
 use crate::arguments::full_name;
 use crate::call::{Caller, no_response, node_serving, nodes_serving};
 use crate::completions;
-use crate::verb::{CommonArgs, End, Failure, Outcome};
+use crate::verb::{CommonArgs, End, Failure, Outcome, Verbs};
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 use std::io::Write;
@@ -24,10 +24,17 @@ const PATIENCE_OF_ALL: Duration = Duration::from_secs(1);
 
 const LIST: &str = "list_parameters";
 
+#[derive(Args, Clone, Debug)]
+pub struct NodeArg {
+    /// The node's name with its namespace [default namespace: /]
+    #[arg(value_name = "NODE", add = completions::parameter_nodes())]
+    node: String,
+}
+
 /// Reads and sets the parameters of nodes.
 ///
 /// Nodes of other hosts are visible if this host runs `taut gateway`. A node must answer within --timeout, by default 5 s.
-#[derive(Args, Clone, Debug)]
+#[derive(Subcommand, Clone, Debug)]
 #[command(after_help = "Examples:
   taut param list                   of all nodes, in parallel; names those that do not answer
   taut param get /controller gain
@@ -36,22 +43,7 @@ const LIST: &str = "list_parameters";
   taut param load /controller controller.yaml
 
 Exit codes: 0 done, 1 the answer is no, 2 the arguments cannot be used.")]
-pub struct ParamArgs {
-    #[command(subcommand)]
-    verb: Verb,
-    #[command(flatten)]
-    common: CommonArgs,
-}
-
-#[derive(Args, Clone, Debug)]
-struct NodeArg {
-    /// The node's name with its namespace [default namespace: /]
-    #[arg(value_name = "NODE", add = completions::parameter_nodes())]
-    node: String,
-}
-
-#[derive(Subcommand, Clone, Debug)]
-enum Verb {
+pub enum Verb {
     /// Prints the names of the parameters of one node or of all; exits with 1 if a node does not answer within 1 s
     List {
         /// The node's name with its namespace [default namespace: /]
@@ -119,8 +111,7 @@ fn value(text: &str) -> Result<ParameterValue, String> {
     text.parse().map_err(|error: tautline::ParameterError| error.to_string())
 }
 
-/// Runs the verb.
-pub fn run(args: &ParamArgs) -> Outcome {
+pub fn run(args: &Verbs<Verb>) -> Outcome {
     let common = &args.common;
     let node = |node: &NodeArg| Node::find(common, &node.node);
     match &args.verb {
@@ -262,7 +253,6 @@ fn load(common: &CommonArgs, node: &mut Node, file: &Path) -> Outcome {
     }
 }
 
-/// Whether a parameter was set.
 struct Set {
     node: String,
     name: String,

@@ -7,11 +7,18 @@ use tautline_analysis::file::{CheckedCallback, Client, OverrunPolicy};
 
 use super::host::{Longest, Share};
 use super::run::{Callback, Process, Run};
-use super::verdict::{Mark, Row};
 
 /// Names of violations that `--wcet` reports, too.
 pub const INPUT_TOO_LARGE: &str = "input too large";
 pub const WCET_EXCEEDED: &str = "wcet exceeded";
+
+/// A violated assumption.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Mark {
+    pub name: &'static str,
+    /// The measurement and the fix.
+    pub explanation: String,
+}
 
 /// A time as the system file writes it, to the microsecond or closer.
 struct Time(u64);
@@ -309,20 +316,22 @@ pub fn queue_over_capacity(predicted: &CheckedCallback, max_queue: u64, capacity
 }
 
 /// What is known of a timer of which only its publications are seen.
-pub fn published(row: &Row) -> Option<String> {
-    let callback = &row.measured.as_ref().filter(|measured| measured.callback.is_by_publications)?.callback;
+pub fn published(predicted: &CheckedCallback, callback: &Callback) -> Option<String> {
+    if !callback.is_by_publications {
+        return None;
+    }
     let distances = match (callback.least_distance_ns, callback.greatest_distance_ns) {
         (Some(least), Some(greatest)) => format!(", {} to {} apart", Time(least), Time(greatest)),
         _ => String::new(),
     };
-    let entry = &row.predicted.entry;
+    let entry = &predicted.entry;
     // A saved run may be of another file.
     let (name, topic) = (&entry.name, entry.publishes.first()?);
     Some(format!(
         "`{name}` is a timer, of which an RMW sees only what it publishes: {} messages on {topic}{distances}, of a period of {}; its response \
          times are not known",
         callback.releases,
-        Time(row.predicted.period_ns)
+        Time(predicted.period_ns)
     ))
 }
 

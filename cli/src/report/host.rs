@@ -20,7 +20,6 @@ pub struct Host<'c> {
 struct CoreTimes {
     host: TakenTimes,
     overran: TakenTimes,
-    /// Of both.
     known: TakenTimes,
     /// All recorded intervals, including waits longer than in the analysis.
     seen: Vec<Sight>,
@@ -184,7 +183,6 @@ impl<'c> Host<'c> {
         Some(predicted.response_overhead_ns?.saturating_add(more_ns))
     }
 
-    /// A note for each core.
     pub fn notes(&self) -> Vec<String> {
         let line = |((host, core), times): (&(String, usize), &CoreTimes)| {
             let ms = |ns: u64| ns as f64 / 1e6;

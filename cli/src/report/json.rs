@@ -5,7 +5,8 @@ use std::io::{self, Write};
 use serde::Serialize;
 use tautline::HistogramSnapshot;
 
-use super::verdict::{ChainRow, Comparison, Mark, Measured, Row, Running, Unknown, least_distance};
+use super::explain::Mark;
+use super::verdict::{ChainRow, Comparison, Measured, Row, Running, Unknown, least_distance};
 
 #[derive(Serialize)]
 struct Report<'a> {
@@ -74,7 +75,6 @@ struct HostShare {
     beyond: u64,
     waited: u64,
     unexplained: u64,
-    /// The times of the longest one.
     longest_ms: Option<f64>,
     taken_ms: Option<f64>,
     overran_ms: Option<f64>,

@@ -87,7 +87,6 @@ fn exceedance(text: &str) -> Result<f64, String> {
     probability.ok_or_else(|| format!("'{text}' is no number of 1e-12 to 0.01"))
 }
 
-/// Why there is no report.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
     #[error("`{}` cannot be read: {source}", path.display())]

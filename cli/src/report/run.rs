@@ -59,7 +59,6 @@ pub struct Process {
 pub struct SamplerThread {
     pub core: Option<usize>,
     pub moments: Vec<Moment>,
-    /// The number of older ones.
     #[serde(default)]
     pub older_moments: u64,
 }
@@ -108,7 +107,6 @@ pub struct Callback {
     /// The latest moments: late jobs, and time that was taken from its core.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub moments: Vec<Moment>,
-    /// The number of older ones.
     #[serde(default)]
     pub older_moments: u64,
     /// Execution times by the size of the input, if its jobs state it.
@@ -338,7 +336,6 @@ impl Times {
         Times { sum_ns: histogram.sum_ns(), max_ns, buckets }
     }
 
-    /// To evaluate.
     pub fn histogram(&self) -> HistogramSnapshot {
         let bucket = |&(low_ns, count): &(u64, u64)| Bucket { low_ns, high_ns: low_ns, count };
         HistogramSnapshot::of_buckets(self.buckets.iter().map(bucket), self.sum_ns, self.max_ns)

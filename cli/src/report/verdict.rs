@@ -5,11 +5,10 @@ use std::collections::BTreeSet;
 use tautline::{HistogramSnapshot, Policy};
 use tautline_analysis::file::{CheckedCallback, CheckedChain, CheckedSystem, Client, SystemFile};
 
-use super::explain;
+use super::explain::{self, Mark};
 use super::host::{Host, Share};
 use super::run::{Callback, Process, Run};
 
-/// The content of the report.
 pub struct Comparison {
     /// Whether the assumptions and bounds of the analysis held in this run.
     pub kept: bool,
@@ -19,15 +18,12 @@ pub struct Comparison {
     pub rows: Vec<Row>,
     /// The chains whose latency the callbacks' responses bound, in the order of the file.
     pub chains: Vec<ChainRow>,
-    /// The processes of the callbacks.
     pub processes: Vec<Running>,
     /// Callbacks that run, but are not in the file.
     pub unknown: Vec<Unknown>,
-    /// Notes.
     pub notes: Vec<String>,
 }
 
-/// A callback of the file.
 pub struct Row {
     pub predicted: CheckedCallback,
     /// The measurement; `None` if the callback does not run.
@@ -35,7 +31,6 @@ pub struct Row {
     pub marks: Vec<Mark>,
 }
 
-/// The measurement of a callback.
 pub struct Measured {
     pub process: String,
     pub callback: Callback,
@@ -59,7 +54,6 @@ pub struct ChainRow {
     pub host_ns: Option<u64>,
 }
 
-/// A process.
 pub struct Running {
     pub label: String,
     pub host: String,
@@ -75,14 +69,6 @@ pub struct Unknown {
     pub callback: Callback,
     /// Its real-time priority is not part of the analysis.
     pub mark: Option<Mark>,
-}
-
-/// A violated assumption.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Mark {
-    pub name: &'static str,
-    /// The measurement and the fix.
-    pub explanation: String,
 }
 
 impl Comparison {
@@ -123,7 +109,10 @@ impl Comparison {
                 names.join(", ")
             ));
         }
-        notes.extend(rows.iter().filter_map(explain::published));
+        notes.extend(
+            rows.iter()
+                .filter_map(|row| explain::published(&row.predicted, &row.measured.as_ref()?.callback)),
+        );
         let other_hosts: BTreeSet<&str> = elsewhere.iter().map(|callback| callback.host.as_str()).collect();
         if !other_hosts.is_empty() {
             let names = other_hosts.into_iter().collect::<Vec<_>>().join(", ");
@@ -234,7 +223,6 @@ fn row(predicted: &CheckedCallback, run: &Run, host: &Host) -> Row {
     Row { predicted: predicted.clone(), measured: Some(measured), marks }
 }
 
-/// The measurement of a chain.
 fn chain(predicted: &CheckedChain, checked: &CheckedSystem, rows: &[Row]) -> Option<ChainRow> {
     let measured = |stage: &usize| {
         let name = &checked.callbacks.get(*stage)?.entry.name;
@@ -273,7 +261,6 @@ fn misses(predicted: &CheckedCallback, callback: &Callback) -> u64 {
     ended + is_past(callback.unfinished_ns)
 }
 
-/// The violations, causes before consequences.
 fn violations(
     predicted: &CheckedCallback,
     process: &Process,

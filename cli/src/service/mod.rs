@@ -7,8 +7,8 @@ mod named;
 use crate::arguments::full_name;
 use crate::arguments::full_type;
 use crate::completions;
-use crate::verb::{CommonArgs, Failure, Outcome};
-use clap::{Args, Subcommand};
+use crate::verb::{Failure, Outcome, Verbs};
+use clap::Subcommand;
 pub use named::{Named, named, type_to_call};
 use serde_json::Value;
 use std::io::Write;
@@ -19,7 +19,7 @@ use tautline_transport::{GraphSnapshot, graph_of};
 /// Services of other hosts are visible if this host runs `taut gateway`.
 /// Types need not be compiled in: processes cache their definitions
 /// in /tmp/tautline_UID/schemas.
-#[derive(Args, Clone, Debug)]
+#[derive(Subcommand, Clone, Debug)]
 #[command(after_help = "Examples:
   taut service list
   taut service list --json          with the nodes that answer
@@ -27,15 +27,7 @@ use tautline_transport::{GraphSnapshot, graph_of};
   taut service call /lights '{data: true}'
 
 Exit codes: 0 done, 1 the answer is no, 2 the arguments cannot be used.")]
-pub struct ServiceArgs {
-    #[command(subcommand)]
-    verb: Verb,
-    #[command(flatten)]
-    common: CommonArgs,
-}
-
-#[derive(Subcommand, Clone, Debug)]
-enum Verb {
+pub enum Verb {
     /// Prints the services with their types and their numbers of servers and clients
     List,
     /// Prints the type of a service
@@ -53,8 +45,7 @@ enum Verb {
     Call(call::CallArgs),
 }
 
-/// Runs the verb.
-pub fn run(args: &ServiceArgs) -> Outcome {
+pub fn run(args: &Verbs<Verb>) -> Outcome {
     let common = &args.common;
     if let Verb::Call(args) = &args.verb {
         return call::run(args, common);

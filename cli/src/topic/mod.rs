@@ -14,8 +14,8 @@ use crate::arguments::full_name;
 use crate::arguments::full_type;
 use crate::completions;
 use crate::table::write_names;
-use crate::verb::{CommonArgs, Outcome};
-use clap::{Args, Subcommand};
+use crate::verb::{CommonArgs, Outcome, Verbs};
+use clap::Subcommand;
 use rates::Unit;
 use serde_json::Value;
 use std::io::Write;
@@ -26,7 +26,7 @@ use tautline_transport::graph_of;
 /// Topics of other hosts are visible if this host runs `taut gateway`.
 /// Types need not be compiled in: processes cache their definitions
 /// in /tmp/tautline_UID/schemas.
-#[derive(Args, Clone, Debug)]
+#[derive(Subcommand, Clone, Debug)]
 #[command(after_help = "Examples:
   taut topic list
   taut topic list --domain 7        another domain
@@ -36,15 +36,7 @@ use tautline_transport::graph_of;
   taut topic pub /chatter std_msgs/msg/String '{data: hello}' -r 10
 
 Exit codes: 0 done, 1 the answer is no, 2 the arguments cannot be used.")]
-pub struct TopicArgs {
-    #[command(subcommand)]
-    verb: Verb,
-    #[command(flatten)]
-    common: CommonArgs,
-}
-
-#[derive(Subcommand, Clone, Debug)]
-enum Verb {
+pub enum Verb {
     /// Prints the topics with their types, places, and numbers of publishers and subscriptions
     List,
     /// Prints the type and the numbers of publishers and subscriptions of a topic
@@ -89,8 +81,7 @@ enum Verb {
     Pub(publish::PubArgs),
 }
 
-/// Runs the verb.
-pub fn run(args: &TopicArgs) -> Outcome {
+pub fn run(args: &Verbs<Verb>) -> Outcome {
     let common = &args.common;
     match &args.verb {
         Verb::List => {

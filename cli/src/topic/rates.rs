@@ -380,7 +380,6 @@ fn is_elsewhere(graph: &GraphSnapshot, topic: &str) -> bool {
     ends(graph, topic).any(|end| end.is_remote && end.kind == EndpointKind::Publisher)
 }
 
-/// Bytes with a unit.
 fn size(bytes: f64) -> String {
     let units = [("GB", 1e9), ("MB", 1e6), ("kB", 1e3)];
     match units.iter().find(|(_, unit)| bytes >= *unit) {

@@ -169,7 +169,6 @@ fn limits() -> Limits {
     Limits { held: 1, ..Limits::default() }
 }
 
-/// No such topic.
 pub fn unknown(graph: &GraphSnapshot, topic: &str) -> Failure {
     Failure::unknown("topic", topic, graph.endpoints.iter().map(|end| &*end.topic), "topic list")
 }

@@ -8,7 +8,6 @@ use tautline_trace::{Description, Event, EventKind};
 const HEAD: &str = "time_ns,pid,process,tid,thread,event,object_id,object,parent_id,sequence_number,source_timestamp_ns,\
                     publisher,release_ns,timeout_ns,from_sequence_number,from_publisher";
 
-/// Writes all of it.
 pub fn write(recording: &Recording, to: &mut dyn Write) -> io::Result<()> {
     writeln!(to, "{HEAD}")?;
     let mut made: Vec<(u32, &Description)> = recording

@@ -61,7 +61,6 @@ struct Hops<'r> {
     unmatched: BTreeMap<(&'r str, HopKind, Place), u64>,
 }
 
-/// Runs the verb.
 pub fn run(args: &HopsArgs, json: bool) -> Result<ExitCode, TraceError> {
     let recordings = args.files.iter().map(|path| file::read(path)).collect::<Result<Vec<_>, _>>()?;
     let hops = hops(&recordings);

@@ -44,7 +44,6 @@ struct Row {
     messages_lost: Option<u64>,
 }
 
-/// Runs the verb.
 pub fn run(args: &LatencyArgs, json: bool) -> Result<ExitCode, TraceError> {
     let recording = file::read(&args.file)?;
     let rows = rows(&recording);

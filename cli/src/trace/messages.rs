@@ -20,7 +20,6 @@ pub struct MessageKey {
     pub sequence_number: u64,
 }
 
-/// One run of a callback.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Run {
     pub process: u32,

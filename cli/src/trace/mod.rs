@@ -11,7 +11,7 @@ pub mod record;
 pub mod recording;
 mod ways;
 
-use crate::verb::CommonArgs;
+use crate::verb::{CommonArgs, Verbs};
 use clap::{Args, Subcommand};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -20,7 +20,7 @@ use std::process::ExitCode;
 /// Records publications, takes, callbacks and the sampler of running processes; exports them; computes latencies.
 ///
 /// Programs need no preparation: without a recorder an event costs less than a nanosecond. See docs/tracing.md.
-#[derive(Args, Clone, Debug)]
+#[derive(Subcommand, Clone, Debug)]
 #[command(after_help = "Examples:
   taut trace record --seconds 10 -o run.trace       every process of the domain, for ten seconds
   taut trace latency run.trace                      from publication to callback, per topic
@@ -29,15 +29,7 @@ use std::process::ExitCode;
   taut trace export run.trace --format csv -o -     every event as a line
 
 TAUT_TRACE=on lets a program record from its first event, before a recorder is there.")]
-pub struct TraceArgs {
-    #[command(subcommand)]
-    verb: Verb,
-    #[command(flatten)]
-    common: CommonArgs,
-}
-
-#[derive(Subcommand, Clone, Debug)]
-enum Verb {
+pub enum Verb {
     Record(record::RecordArgs),
     Export(ExportArgs),
     Latency(latency::LatencyArgs),
@@ -50,7 +42,7 @@ enum Verb {
   taut trace export run.trace --format perfetto            run.trace.json, for https://ui.perfetto.dev
   taut trace export run.trace --format chrome -o run.json  the same, for chrome://tracing
   taut trace export run.trace --format csv -o - | head")]
-struct ExportArgs {
+pub struct ExportArgs {
     /// The recording
     #[arg(value_name = "FILE")]
     file: PathBuf,
@@ -63,7 +55,7 @@ struct ExportArgs {
 }
 
 #[derive(clap::ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
-enum Format {
+pub enum Format {
     /// JSON for ui.perfetto.dev: threads, callbacks as slices, arrows from publication to callback
     Perfetto,
     /// The same JSON, for chrome://tracing
@@ -95,8 +87,7 @@ pub enum TraceError {
     Priority(tautline_rt::RtError),
 }
 
-/// Runs the verb.
-pub fn run(args: TraceArgs) -> Result<ExitCode, TraceError> {
+pub fn run(args: Verbs<Verb>) -> Result<ExitCode, TraceError> {
     let common = &args.common;
     if !matches!(args.verb, Verb::Record(_)) {
         common.bound();

@@ -47,7 +47,6 @@ pub struct Sum {
     failed: Option<io::Error>,
 }
 
-/// Runs the verb.
 pub fn run(args: &RecordArgs, common: &CommonArgs) -> Result<ExitCode, TraceError> {
     let domain = common.domain().map_err(TraceError::Domain)?;
     let mut end = End::after(args.seconds.or(common.timeout())).map_err(TraceError::Signal)?;

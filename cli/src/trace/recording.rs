@@ -72,7 +72,6 @@ pub enum Entry {
     },
 }
 
-/// One process of a recording.
 #[derive(Debug, Default)]
 pub struct Process {
     pub pid: u32,

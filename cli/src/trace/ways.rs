@@ -57,7 +57,6 @@ impl HopKind {
     }
 }
 
-/// One hop of one message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Hop<'r> {
     pub topic: &'r str,

@@ -282,7 +282,6 @@ fn core_times(stat: &str) -> BTreeMap<usize, CoreTimes> {
     stat.lines().filter_map(line).collect()
 }
 
-/// The order of rows.
 #[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Order {
     /// By name
@@ -297,7 +296,6 @@ pub enum Order {
 }
 
 impl Order {
-    /// The next order.
     pub fn next(self) -> Self {
         match self {
             Order::Name => Order::Rate,
@@ -336,7 +334,6 @@ impl Picture {
         }
     }
 
-    /// The number of processes.
     pub fn processes(&self) -> usize {
         self.callbacks.iter().map(|row| row.pid).collect::<BTreeSet<_>>().len()
     }

@@ -61,7 +61,6 @@ impl Default for Histogram {
     }
 }
 
-/// The bucket of a value.
 pub(crate) const fn bucket_of(ns: u64) -> usize {
     if ns < SUB_BUCKETS as u64 {
         return ns as usize;

@@ -102,7 +102,6 @@ impl Inputs {
 }
 
 impl CallbackStats {
-    /// Keeps a moment.
     pub(crate) fn note(&self, moment: &Moment) {
         if let Some(block) = self.block.get() {
             block.moments.note(moment);
@@ -190,7 +189,6 @@ impl CallbackStats {
         }
     }
 
-    /// A job was demoted.
     pub(crate) fn demoted(&self) {
         if let Some(head) = self.head() {
             add(&head[word::DEMOTIONS], 1);

@@ -27,7 +27,6 @@ use crate::options::{DeadlineMiss, Overrun, Watch};
 pub(crate) use block::kind;
 use block::{Block, HEAD_WORDS, state, word};
 
-/// A job that has ended.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Job {
     pub release_ns: u64,

@@ -7,7 +7,6 @@ pub fn unit(type_name: &str, field: &str) -> Option<&'static str> {
     UNITS[index].1.iter().find(|(_, fields)| fields.contains(&field)).map(|(unit, _)| *unit)
 }
 
-/// Units, and the fields that have them.
 type Units = &'static [(&'static str, &'static [&'static str])];
 
 /// In the order of the names.

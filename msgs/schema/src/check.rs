@@ -40,7 +40,6 @@ pub(crate) fn structure(schema: &Schema, index: usize, values: Vec<Value>) -> Re
         .collect()
 }
 
-/// The value of a field.
 pub(crate) fn field(
     schema: &Schema,
     ty: &FieldType,

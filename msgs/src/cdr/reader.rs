@@ -120,7 +120,6 @@ impl<'a> Reader<'a> {
         self.slack += SLACK;
     }
 
-    /// A fault here.
     #[cold]
     pub(crate) fn fault(&self, fault: DecodeFault) -> Fault {
         Fault::new(self.at, fault)

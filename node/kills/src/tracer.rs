@@ -13,7 +13,6 @@ use std::time::{Duration, Instant};
 /// Where in a system call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum When {
-    /// It is not made.
     Before,
     /// It was made, and nothing after it.
     After,

@@ -409,7 +409,6 @@ impl<P: ActionCodec> Drop for GoalInterest<P> {
     }
 }
 
-/// The result of a goal, once it is there.
 struct GoalResult<P: ActionCodec> {
     result: oneshot::Receiver<Result<Outcome<P>>>,
     wanted: Arc<GoalInterest<P>>,
@@ -546,17 +545,8 @@ impl<T: ActionCodec> Clone for ActionClientGoal<T> {
     }
 }
 
-impl<T: ActionCodec> std::fmt::Debug for ActionClient<T> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("ActionClient")
-            .field("action", &self.shared.name)
-            .field("goals", &self.shared.goals().len())
-            .finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(
+    [T: ActionCodec] ActionClient<T>, |this| action = this.shared.name, goals = this.shared.goals().len()
+);
 
-impl<T: ActionCodec> std::fmt::Debug for ActionClientGoal<T> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("ActionClientGoal").field("uuid", &self.uuid).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!([T: ActionCodec] ActionClientGoal<T>, |this| uuid = this.uuid);

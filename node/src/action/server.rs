@@ -109,7 +109,6 @@ impl<T: Action> Server<T> {
         Error::Goal { action: self.name.clone(), goal: Uuid::from_bytes(id).to_string(), status }
     }
 
-    /// Ends a goal with a result.
     fn finish(&self, id: GoalId, event: GoalEvent, result: T::Result) -> Result<()> {
         let before = self.state().goals.status(id);
         // Whatever happens meanwhile, the event ends it in this status, or cannot happen.
@@ -546,20 +545,8 @@ where
     }
 }
 
-impl std::fmt::Debug for ActionServerCancelRequest {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("ActionServerCancelRequest").field("uuid", &self.uuid).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(ActionServerCancelRequest, |this| uuid = this.uuid);
 
-impl<T: Action> std::fmt::Debug for ActionServerGoalRequest<T> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("ActionServerGoalRequest").field("uuid", &self.uuid).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!([T: Action] ActionServerGoalRequest<T>, |this| uuid = this.uuid);
 
-impl<T: Action> std::fmt::Debug for ActionServerGoal<T> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("ActionServerGoal").field("uuid", &self.uuid).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!([T: Action] ActionServerGoal<T>, |this| uuid = this.uuid);

@@ -53,7 +53,6 @@ impl SharedStatus {
     }
 }
 
-/// What happens to a goal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum GoalEvent {
     Execute,

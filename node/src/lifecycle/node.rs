@@ -340,13 +340,8 @@ impl Inner {
     }
 }
 
-/// A state as its message.
 pub(super) fn described(state: State) -> msg::State {
     msg::State { id: state.id(), label: state.label().into() }
 }
 
-impl std::fmt::Debug for LifecycleNode {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("LifecycleNode").field("state", &self.state()).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(LifecycleNode, |this| state = this.state());

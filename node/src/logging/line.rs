@@ -8,7 +8,6 @@ use std::fmt::{self, Write};
 const CAPACITY: usize = 464;
 const CUT: &str = "...";
 
-/// A line of the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Line<'t> {
     /// On the system's clock.

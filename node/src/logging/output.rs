@@ -132,7 +132,6 @@ fn is_realtime() -> bool {
     tautline_rt::current_policy().is_ok_and(|policy| policy.realtime_priority().is_some())
 }
 
-/// The one who writes.
 struct Writing {
     sink: MutexGuard<'static, Sink>,
     // Dropped after the lock: the last one of a context ends threads that may log.

@@ -29,7 +29,6 @@ impl LogSeverity {
         LogSeverity::Fatal,
     ];
 
-    /// That of this number.
     pub(super) fn of_number(number: u32) -> Option<LogSeverity> {
         Self::ALL.into_iter().find(|severity| *severity as u32 == number)
     }

@@ -102,8 +102,4 @@ impl<T: ParameterVariant> Stream for ParameterReader<T> {
     }
 }
 
-impl<T> std::fmt::Debug for ParameterReader<T> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("ParameterReader").field("name", &self.name).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!([T] ParameterReader<T>, |this| name = this.name);

@@ -467,14 +467,6 @@ impl Drop for OnSetParameters {
     }
 }
 
-impl std::fmt::Debug for Parameters {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Parameters").field("names", &self.names()).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(Parameters, |this| names = this.names());
 
-impl std::fmt::Debug for OnSetParameters {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("OnSetParameters").finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(OnSetParameters);

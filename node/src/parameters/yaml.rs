@@ -11,7 +11,6 @@ const MAX_DEPTH: usize = 64;
 /// may occur several times.
 pub(crate) type NodeParameters = Vec<(String, Vec<(String, ParameterValue)>)>;
 
-/// Reads the text of a parameter file.
 pub(crate) fn read_file(text: &str) -> Result<NodeParameters, String> {
     let mut nodes = Vec::new();
     match parse(text)? {

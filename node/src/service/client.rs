@@ -207,14 +207,6 @@ impl<T: ServiceCodec> AsRef<RawClient> for Client<T> {
     }
 }
 
-impl<T: ServiceCodec> std::fmt::Debug for Client<T> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Client").field("service", &self.inner.service()).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!([T: ServiceCodec] Client<T>, |this| service = this.inner.service());
 
-impl<T: ServiceCodec> std::fmt::Debug for ResponseFuture<T> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("ResponseFuture").field("response", &self.response).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!([T: ServiceCodec] ResponseFuture<T>, |this| response = this.response);

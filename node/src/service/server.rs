@@ -244,14 +244,6 @@ impl<T: ServiceCodec<Error: Into<Error>>> Reply<T> {
     }
 }
 
-impl<T: ServiceCodec> std::fmt::Debug for ServiceRequest<T> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("ServiceRequest").field("id", &self.reply.id).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!([T: ServiceCodec] ServiceRequest<T>, |this| id = this.reply.id);
 
-impl<T: ServiceCodec> std::fmt::Debug for Server<T> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Server").field("service", &self.service_name()).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!([T: ServiceCodec] Server<T>, |this| service = this.service_name());

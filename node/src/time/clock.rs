@@ -4,7 +4,6 @@
 use super::source::{ClockJump, JumpCallback, JumpThreshold, TimeSource};
 use crate::context::Context;
 use crate::error::{Error, Result};
-use std::fmt;
 use std::future::poll_fn;
 use std::task::Poll;
 use std::time::Duration;
@@ -141,8 +140,4 @@ impl Clock {
     }
 }
 
-impl fmt::Debug for Clock {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Clock").field("kind", &self.kind).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(Clock, |this| kind = this.kind);

@@ -7,7 +7,6 @@
 use super::Clock;
 use crate::error::{Error, Result};
 use futures::task::{ArcWake, AtomicWaker, waker};
-use std::fmt;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::task::{Context, Poll, Waker};
@@ -318,17 +317,9 @@ fn lock<T: ?Sized>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl fmt::Debug for TimeSource {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("TimeSource").field("enabled", &self.is_enabled()).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(TimeSource, |this| enabled = this.is_enabled());
 
-impl fmt::Debug for JumpCallback {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("JumpCallback").finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(JumpCallback);
 
 #[cfg(test)]
 mod tests {

@@ -12,9 +12,6 @@ pub struct ActionClient<T: ActionCodec>(tautline::ActionClient<T>);
 
 impl<T: ActionCodec> ActionClient<T> {
     /// As [`tautline::ActionClient::send_goal_request`].
-    ///
-    /// # Errors
-    /// As there.
     #[allow(clippy::type_complexity, reason = "it is r2r's")]
     pub fn send_goal_request(
         &self,
@@ -63,9 +60,6 @@ pub struct ActionServerGoalRequest<T: Action>(tautline::ActionServerGoalRequest<
 
 impl<T: Action> ActionServerGoalRequest<T> {
     /// As [`tautline::ActionServerGoalRequest::accept`].
-    ///
-    /// # Errors
-    /// As there.
     pub fn accept(
         self,
     ) -> Result<(ActionServerGoal<T>, impl Stream<Item = ActionServerCancelRequest> + Unpin + Send + use<T>)>
@@ -75,9 +69,6 @@ impl<T: Action> ActionServerGoalRequest<T> {
     }
 
     /// As [`tautline::ActionServerGoalRequest::reject`].
-    ///
-    /// # Errors
-    /// As there.
     pub fn reject(self) -> Result<()> {
         self.0.reject()
     }

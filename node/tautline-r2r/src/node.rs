@@ -26,9 +26,6 @@ pub struct Node {
 
 impl Node {
     /// As [`tautline::Node::create`].
-    ///
-    /// # Errors
-    /// As there.
     pub fn create(ctx: Context, name: &str, namespace: &str) -> Result<Node> {
         Ok(tautline::Node::create(ctx, name, namespace)?.into())
     }
@@ -58,9 +55,6 @@ impl Node {
     }
 
     /// As [`tautline::Node::subscribe`].
-    ///
-    /// # Errors
-    /// As there.
     pub fn subscribe<T: Message>(
         &mut self,
         topic: &str,
@@ -70,9 +64,6 @@ impl Node {
     }
 
     /// As [`tautline::Node::subscribe_untyped`].
-    ///
-    /// # Errors
-    /// As there.
     pub fn subscribe_untyped(
         &mut self,
         topic: &str,
@@ -83,9 +74,6 @@ impl Node {
     }
 
     /// As [`tautline::Node::subscribe_raw`].
-    ///
-    /// # Errors
-    /// As there.
     pub fn subscribe_raw(
         &mut self,
         topic: &str,
@@ -96,9 +84,6 @@ impl Node {
     }
 
     /// As [`tautline::Node::create_publisher`].
-    ///
-    /// # Errors
-    /// As there.
     pub fn create_publisher<T: Message>(
         &mut self,
         topic: &str,
@@ -108,9 +93,6 @@ impl Node {
     }
 
     /// As [`tautline::Node::create_publisher_untyped`].
-    ///
-    /// # Errors
-    /// As there.
     pub fn create_publisher_untyped(
         &mut self,
         topic: &str,
@@ -131,9 +113,6 @@ impl Node {
     }
 
     /// As [`tautline::Node::create_service`].
-    ///
-    /// # Errors
-    /// As there.
     pub fn create_service<T: Service>(
         &mut self,
         service_name: &str,
@@ -143,17 +122,11 @@ impl Node {
     }
 
     /// As [`tautline::Node::create_client`]: requests are reliable whatever the profile says.
-    ///
-    /// # Errors
-    /// As there.
     pub fn create_client<T: Service>(&mut self, service_name: &str, _: QosProfile) -> Result<Client<T>> {
         Ok(self.inner.create_client(service_name)?.into())
     }
 
     /// As [`tautline::Node::create_client_untyped`]: see [`create_client`](Self::create_client).
-    ///
-    /// # Errors
-    /// As there.
     pub fn create_client_untyped(
         &mut self,
         service_name: &str,
@@ -165,9 +138,6 @@ impl Node {
     }
 
     /// As [`tautline::Client::wait_for_service`] and [`tautline::ActionClient::wait_for_action_server`].
-    ///
-    /// # Errors
-    /// As there.
     pub fn is_available(
         client: &dyn IsAvailablePollable,
     ) -> Result<impl Future<Output = Result<()>> + Unpin + Send + use<>> {
@@ -191,17 +161,11 @@ impl Node {
     }
 
     /// As [`tautline::Node::create_action_client`].
-    ///
-    /// # Errors
-    /// As there.
     pub fn create_action_client<T: Action>(&mut self, action_name: &str) -> Result<ActionClient<T>> {
         Ok(self.inner.create_action_client(action_name)?.into())
     }
 
     /// As [`tautline::Node::create_action_client_untyped`].
-    ///
-    /// # Errors
-    /// As there.
     pub fn create_action_client_untyped(
         &mut self,
         action_name: &str,
@@ -211,9 +175,6 @@ impl Node {
     }
 
     /// As [`tautline::Node::create_action_server`].
-    ///
-    /// # Errors
-    /// As there.
     pub fn create_action_server<T: Action>(
         &mut self,
         action_name: &str,
@@ -236,17 +197,11 @@ impl Node {
     }
 
     /// As [`tautline::Node::create_wall_timer`].
-    ///
-    /// # Errors
-    /// As there.
     pub fn create_wall_timer(&mut self, period: Duration) -> Result<Timer> {
         Ok(self.inner.create_wall_timer(period)?.into())
     }
 
     /// As [`tautline::Node::create_timer`].
-    ///
-    /// # Errors
-    /// As there.
     pub fn create_timer(&mut self, period: Duration) -> Result<Timer> {
         Ok(self.inner.create_timer(period)?.into())
     }

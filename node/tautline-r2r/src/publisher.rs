@@ -45,9 +45,6 @@ impl<T: Message> Publisher<T> {
     }
 
     /// As [`tautline::Publisher::wait_for_subscriptions`].
-    ///
-    /// # Errors
-    /// As there.
     pub fn wait_for_inter_process_subscribers(
         &self,
     ) -> Result<impl Future<Output = Result<()>> + Send + use<T>> {
@@ -77,9 +74,6 @@ impl PublisherUntyped {
     }
 
     /// As [`tautline::Publisher::wait_for_subscriptions`].
-    ///
-    /// # Errors
-    /// As there.
     pub fn wait_for_inter_process_subscribers(
         &self,
     ) -> Result<impl Future<Output = Result<()>> + Send + use<>> {

@@ -56,6 +56,7 @@ pub enum LivelinessPolicy {
 /// assert_eq!(latched.depth, 1);
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[must_use = "it returns the changed QosProfile"]
 pub struct QosProfile {
     /// See [`HistoryPolicy`].
     pub history: HistoryPolicy,
@@ -134,91 +135,76 @@ impl QosProfile {
     }
 
     /// Sets the history policy.
-    #[must_use = "it returns the changed QosProfile"]
     pub const fn history(self, history: HistoryPolicy) -> Self {
         QosProfile { history, ..self }
     }
 
     /// Keeps the newest `depth` samples.
-    #[must_use = "it returns the changed QosProfile"]
     pub const fn keep_last(self, depth: usize) -> Self {
         QosProfile { depth, history: HistoryPolicy::KeepLast, ..self }
     }
 
     /// Keeps all samples, up to the bound of `depth`.
-    #[must_use = "it returns the changed QosProfile"]
     pub const fn keep_all(self) -> Self {
         QosProfile { history: HistoryPolicy::KeepAll, depth: 0, ..self }
     }
 
     /// Sets the depth, or the bound of keep-all.
-    #[must_use = "it returns the changed QosProfile"]
     pub const fn depth(self, depth: usize) -> Self {
         QosProfile { depth, ..self }
     }
 
     /// Sets the reliability policy.
-    #[must_use = "it returns the changed QosProfile"]
     pub const fn reliability(self, reliability: ReliabilityPolicy) -> Self {
         QosProfile { reliability, ..self }
     }
 
     /// Lets the network retransmit lost samples.
-    #[must_use = "it returns the changed QosProfile"]
     pub const fn reliable(self) -> Self {
         self.reliability(ReliabilityPolicy::Reliable)
     }
 
     /// Lets the network lose samples.
-    #[must_use = "it returns the changed QosProfile"]
     pub const fn best_effort(self) -> Self {
         self.reliability(ReliabilityPolicy::BestEffort)
     }
 
     /// Sets the durability policy.
-    #[must_use = "it returns the changed QosProfile"]
     pub const fn durability(self, durability: DurabilityPolicy) -> Self {
         QosProfile { durability, ..self }
     }
 
     /// Late joiners get only samples that are published later.
-    #[must_use = "it returns the changed QosProfile"]
     pub const fn volatile(self) -> Self {
         self.durability(DurabilityPolicy::Volatile)
     }
 
     /// Late joiners get the last `depth` samples as well.
-    #[must_use = "it returns the changed QosProfile"]
     pub const fn transient_local(self) -> Self {
         self.durability(DurabilityPolicy::TransientLocal)
     }
 
     /// Sets the deadline.
-    #[must_use = "it returns the changed QosProfile"]
     pub const fn deadline(self, deadline: Duration) -> Self {
         QosProfile { deadline, ..self }
     }
 
     /// Sets the lifespan.
-    #[must_use = "it returns the changed QosProfile"]
     pub const fn lifespan(self, lifespan: Duration) -> Self {
         QosProfile { lifespan, ..self }
     }
 
     /// Sets the liveliness policy.
-    #[must_use = "it returns the changed QosProfile"]
     pub const fn liveliness(self, liveliness: LivelinessPolicy) -> Self {
         QosProfile { liveliness, ..self }
     }
 
     /// Sets the lease duration.
-    #[must_use = "it returns the changed QosProfile"]
     pub const fn liveliness_lease_duration(self, liveliness_lease_duration: Duration) -> Self {
         QosProfile { liveliness_lease_duration, ..self }
     }
 
     /// Sets whether ROS's prefixes are omitted.
-    #[must_use = "it returns the changed QosProfile"]
     pub const fn avoid_ros_namespace_conventions(self, avoid_ros_namespace_conventions: bool) -> Self {
         QosProfile { avoid_ros_namespace_conventions, ..self }
     }

@@ -109,8 +109,4 @@ impl Stream for PublisherEvents {
     }
 }
 
-impl std::fmt::Debug for PublisherEvents {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("PublisherEvents").field("topic", &self.topic()).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(PublisherEvents, |this| topic = this.topic());

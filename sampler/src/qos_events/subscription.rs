@@ -86,8 +86,4 @@ impl Stream for SubscriptionEvents {
     }
 }
 
-impl std::fmt::Debug for SubscriptionEvents {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("SubscriptionEvents").field("topic", &self.topic()).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(SubscriptionEvents, |this| topic = this.topic());

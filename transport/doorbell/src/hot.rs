@@ -298,7 +298,6 @@ pub(crate) struct BellRouting(AtomicU32);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct BellBit {
     pub(crate) thread: usize,
-    /// Below 64.
     pub(crate) bit: usize,
 }
 

@@ -97,16 +97,18 @@ pub trait FarSide: Sized {
         writer: &Self::Writer,
     ) -> Result<<Self::Egress as Egress>::Sender, String>;
 
-    /// Creates a port of the domain for messages from the far side.
+    /// Creates a port of the domain for messages from the far side; by default, with the default limits.
     ///
     /// # Errors
-    /// As [`Participant::create_raw_publisher`].
+    /// As [`Participant::create_relay_publisher`].
     fn port(
         participant: &Participant,
         topic: &str,
         topic_type: &TopicType,
         offered: Qos,
-    ) -> Result<RawPublisher, TransportError>;
+    ) -> Result<RawPublisher, TransportError> {
+        participant.create_relay_publisher(topic, topic_type, offered, Limits::default())
+    }
 
     /// Takes messages of a class from now on, in place of its previous ingress.
     ///
@@ -292,7 +294,6 @@ pub struct MirrorControl<F: FarSide> {
     started: Instant,
 }
 
-/// A class that is taken.
 struct TakenClass {
     inward: Inward,
     /// Whether it has a port that offers `inward.offered`: as soon as there is a publisher.

@@ -16,11 +16,9 @@ const TRAILING_BYTES: usize = 8;
 
 /// The port for incoming messages.
 pub enum IngressPort {
-    /// There is no publisher.
     None,
     /// The key's existing port, with its samples for late joiners.
     Same,
-    /// A new port.
     New(Box<RawPublisher>),
 }
 

@@ -177,11 +177,9 @@ pub struct Outward {
 pub enum Action {
     /// Create the writer there that mirrors this publisher.
     OpenWriter(TopicKey, Gid, Qos, Option<String>),
-    /// End it.
     CloseWriter(TopicKey, Gid),
     /// Start taking a topic's samples from shared memory, or restart with changed values: kept samples come again.
     StartOut(TopicKey, Outward),
-    /// End that.
     StopOut(TopicKey),
     /// Start or restart taking a class's messages.
     StartIn(InKey, Inward),
@@ -189,7 +187,6 @@ pub enum Action {
     AskAgain(InKey, Inward),
     /// Change the publishers and the rate of a class.
     ChangeIn(InKey, Inward),
-    /// End it.
     StopIn(InKey),
 }
 
@@ -211,7 +208,6 @@ impl Action {
         }
     }
 
-    /// Its topic.
     pub(crate) fn topic(&self) -> &TopicKey {
         match self {
             Action::OpenWriter(key, ..) | Action::CloseWriter(key, _) => key,
@@ -243,7 +239,6 @@ pub struct Mirror {
     problems: BTreeMap<String, String>,
 }
 
-/// Everything to be mirrored.
 #[derive(Default)]
 struct MirrorPlan {
     writers: BTreeMap<(TopicKey, Gid), WantedWriter>,
@@ -611,7 +606,6 @@ impl MirrorPlan {
     }
 }
 
-/// Groups by `key`.
 pub(crate) fn grouped<T: Copy, K: Ord>(
     all: impl IntoIterator<Item = T>,
     key: impl Fn(T) -> K,

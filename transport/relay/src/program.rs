@@ -12,9 +12,6 @@ use tautline_rt::terminal::{Escaped, escaped};
 use tautline_transport::MAX_DOMAIN;
 
 /// True after the first SIGINT, SIGTERM, or SIGHUP that is not ignored. A second one more than 200 ms later exits at once, with 128 plus the signal number.
-///
-/// # Errors
-/// [`SignalError`].
 pub fn stop_on_signals() -> Result<Arc<AtomicBool>, SignalError> {
     let stop = Arc::new(AtomicBool::new(false));
     let mut signals = Signals::new(tautline_rt::termination_signals())?;

@@ -32,9 +32,6 @@ pub enum RelayError {
 
 impl<O: Egress> Relay<O> {
     /// Starts the thread, in the place of the participant's sampler.
-    ///
-    /// # Errors
-    /// [`RelayError`].
     pub fn start(participant: &Participant, thread: ThreadBuilder, egress: O) -> Result<Self, RelayError> {
         let seat = participant.doorbell().claim_sampler().map_err(TransportError::from)?;
         let waker = RelayWaker::new(participant.claim_slot()?);

@@ -159,7 +159,6 @@ pub(crate) struct TopicRoute<O: Egress> {
 /// The outcome of a topic's turn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Served {
-    /// There was no more.
     All,
     /// There is no room for more.
     Blocked,

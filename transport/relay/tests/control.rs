@@ -17,7 +17,7 @@ use tautline_relay::{
 use tautline_rt::ThreadBuilder;
 use tautline_transport::{
     EndpointKind, Gid, Limits, Origin, Participant, Qos, RawPublisher, RawSample, RawSubscription, RequestId,
-    ServiceType, TopicEndpoint, TopicType, TransportError,
+    ServiceType, TopicEndpoint, TopicType,
 };
 
 const DOMAIN: u32 = 94;
@@ -133,15 +133,6 @@ impl FarSide for Play {
         let left = failing.checked_sub(1);
         *failing = left.unwrap_or(0);
         left.map_or(Ok(()), |_| Err("not now".to_owned()))
-    }
-
-    fn port(
-        participant: &Participant,
-        topic: &str,
-        topic_type: &TopicType,
-        offered: Qos,
-    ) -> Result<RawPublisher, TransportError> {
-        participant.create_relay_publisher(topic, topic_type, offered, Limits::default())
     }
 
     fn start_in(&mut self, key: &InKey, _: &Inward, mut ingress: Ingress) -> Result<(), String> {

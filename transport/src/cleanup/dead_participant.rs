@@ -30,7 +30,6 @@ const PATIENCE_AFTER_END: Duration = Duration::from_secs(10);
 const PERIOD: Duration = Duration::from_millis(1);
 const PERIOD_AFTER_END: Duration = Duration::from_millis(10);
 
-/// The state of a file.
 pub(super) enum FileState {
     /// Its owner is alive, or is ending right now.
     Owned,
@@ -57,7 +56,6 @@ pub(super) struct Dead {
     /// Locked until the cleanup is complete: the next process finds either no file, or a free lock.
     file: PeerFile,
     id: Option<u64>,
-    /// What its publishers have sent.
     sent: Vec<View>,
     /// Its publishers ended before it did.
     has_ended: bool,

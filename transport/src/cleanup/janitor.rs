@@ -29,12 +29,10 @@ const AGAIN: [Duration; 5] = [
 /// Connects the ports of its participant with those that it finds.
 type Refresh = Box<dyn Fn() -> LookOutcome + Send + Sync>;
 
-/// What came of a look.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct LookOutcome {
     /// Something is left that only time can finish.
     pub(crate) is_pending: bool,
-    /// A participant has gone.
     pub(crate) has_gone: bool,
 }
 

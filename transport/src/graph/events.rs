@@ -114,8 +114,4 @@ impl Stream for GraphEvents {
     }
 }
 
-impl std::fmt::Debug for GraphEvents {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("GraphEvents").field("seen", &self.seen).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(GraphEvents, |this| seen = this.seen);

@@ -196,7 +196,6 @@ impl Listed {
     }
 }
 
-/// Of what is on this host.
 fn here(gid: Gid) -> Origin {
     Origin { tag: gid.tag(), ..Origin::default() }
 }
@@ -210,7 +209,6 @@ impl Model {
         Model { own, ..Model::default() }
     }
 
-    /// The graph as it is now.
     pub(crate) fn refresh(&mut self, domain: &Domain) -> Result<Arc<GraphSnapshot>, TransportError> {
         // Before the look: what changes after this is seen by the next one.
         let epoch = domain.epoch();

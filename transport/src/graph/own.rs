@@ -10,9 +10,9 @@ use crate::graph::record::{NodeRecord, PortRecord, is_enclave, to_body};
 use crate::graph::remote::{RemoteGraph, RemoteNode};
 use crate::memory::file::OwnMemory;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock, Weak};
-use std::{fmt, io};
 use tautline_doorbell::Slot;
 use tautline_rt::{PiGuard, PiMutex};
 
@@ -361,8 +361,4 @@ impl NodeHandle {
     }
 }
 
-impl fmt::Debug for NodeHandle {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("NodeHandle").field("name", &self.entry.node).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(NodeHandle, |this| name = this.entry.node);

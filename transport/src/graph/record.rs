@@ -193,7 +193,6 @@ fn is_root(enclave: &String) -> bool {
     enclave == "/"
 }
 
-/// Whether this is a valid enclave.
 pub(crate) fn is_enclave(enclave: &str) -> bool {
     enclave == "/" || is_absolute(enclave)
 }

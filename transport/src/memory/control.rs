@@ -22,7 +22,6 @@ pub(crate) const PARTS: usize = 10;
 /// Address space of the first part, at least; each further one is four times as long. Memory is claimed as it is used.
 const FIRST_PART_BYTES: u64 = 32 << 10;
 const ALIGNMENT: u64 = 64;
-/// Entries of the first directory.
 const FIRST_ENTRIES: usize = 8;
 
 /// What the first part begins with. Any bytes are one: what peers find there are claims.
@@ -114,13 +113,11 @@ fn find(parts: &[(Range, Arc<Mapping>)], offset: u64) -> Option<(&Arc<Mapping>, 
 pub(crate) struct PublisherControl {
     memory: Arc<OwnMemory>,
     parts: Vec<(Range, Arc<Mapping>)>,
-    /// The free ranges of each part.
     free: Vec<Ranges>,
     /// The pages of each part for which memory is claimed.
     claimed: Vec<Vec<bool>>,
 }
 
-/// A stretch of a part.
 #[derive(Clone, Copy, Debug)]
 struct Stretch {
     part: usize,
@@ -513,7 +510,6 @@ impl View {
         })
     }
 
-    /// All connections that there are.
     pub(crate) fn connections(&self) -> Vec<Connection> {
         let word = self.head().directory.load(Ordering::Acquire);
         let entries = directory(&self.parts, word).unwrap_or(&[]);

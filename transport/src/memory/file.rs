@@ -95,7 +95,6 @@ pub(crate) struct FileLayout {
 }
 
 impl FileLayout {
-    /// On this host.
     pub(crate) fn of_host() -> Self {
         Self::of_pages(page_bytes() as u64)
     }
@@ -405,7 +404,6 @@ pub(crate) struct Peers {
 }
 
 impl Peers {
-    /// As [`Peer::open`].
     pub(crate) fn get(&mut self, domain: u32, id: u64) -> Result<Option<Arc<Peer>>, TransportError> {
         if let Some(peer) = self.known.get(&id).and_then(Weak::upgrade) {
             return Ok(Some(peer));

@@ -56,7 +56,6 @@ pub struct MessageInfo {
     pub publisher_gid: Gid,
 }
 
-/// What a sample is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum SampleKind {
     Message,

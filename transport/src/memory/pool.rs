@@ -131,7 +131,6 @@ impl Segment {
         ChunkOffset { segment: self.id(), offset_bytes: index * self.sample_bytes }
     }
 
-    /// The header of a sample.
     pub(crate) fn header(&self, index: usize) -> NonNull<SampleHeader> {
         // SAFETY: indices are less than `samples`, for which the mapping has room.
         unsafe { self.map.start().byte_add(index * self.sample_bytes).cast() }
@@ -266,7 +265,6 @@ pub(crate) struct SegmentView {
     pub(crate) place: u64,
 }
 
-/// By their ids.
 pub(crate) type SegmentViews = Arc<[Option<SegmentView>]>;
 
 #[cfg(all(test, not(taut_loom)))]

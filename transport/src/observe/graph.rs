@@ -47,10 +47,7 @@ impl Participant {
 
     /// The topics of the domain, sorted by name, without the topics that services consist of.
     ///
-    /// # Real-time
-    /// As [`graph`](Self::graph).
-    ///
-    /// # Errors
+    /// # Real-time and errors
     /// As [`graph`](Self::graph).
     pub fn topics(&self) -> Result<Vec<TopicInfo>, TransportError> {
         let graph = self.graph()?;
@@ -72,10 +69,7 @@ impl Participant {
 
     /// The type of a topic: see [`GraphSnapshot::topic_type`].
     ///
-    /// # Real-time
-    /// As [`graph`](Self::graph).
-    ///
-    /// # Errors
+    /// # Real-time and errors
     /// As [`graph`](Self::graph).
     pub fn topic_type(&self, topic: &str) -> Result<Option<TopicType>, TransportError> {
         Ok(self.graph()?.topic_type(topic))
@@ -84,10 +78,7 @@ impl Participant {
     /// The type of a service, as far as its servers and clients know it; `None` if it has none of these, or if they
     /// disagree.
     ///
-    /// # Real-time
-    /// As [`graph`](Self::graph).
-    ///
-    /// # Errors
+    /// # Real-time and errors
     /// As [`graph`](Self::graph).
     pub fn service_type(&self, service: &str) -> Result<Option<TopicType>, TransportError> {
         let graph = self.graph()?;

@@ -152,8 +152,4 @@ pub fn graph_of(domain: u32) -> Result<Arc<GraphSnapshot>, TransportError> {
     Visitor::new(domain)?.graph()
 }
 
-impl std::fmt::Debug for Visitor {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Visitor").field("domain", &self.number).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(Visitor, |this| domain = this.number);

@@ -14,7 +14,6 @@ use crate::topic::reader::core::SubscriptionRole;
 use crate::topic::subscription::RawSubscription;
 use crate::topic::writer::core::PublisherRole;
 use std::cell::Cell;
-use std::fmt;
 use std::sync::Arc;
 use std::task::Waker;
 use tautline_doorbell::Slot;
@@ -63,7 +62,6 @@ pub(super) struct ClientState {
     pub(super) waker: Waker,
 }
 
-/// What comes in.
 pub(super) struct Inbox {
     pub(super) responses: RawSubscription,
     pub(super) servers: Servers,
@@ -162,7 +160,6 @@ impl Servers {
         self.change = Some((gone, alive));
     }
 
-    /// Those that there are.
     pub(super) fn count(&self) -> usize {
         self.known.len()
     }
@@ -280,26 +277,12 @@ impl RawClient {
     }
 }
 
-impl fmt::Debug for RawClient {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("RawClient")
-            .field("service", &self.service())
-            .field("gid", &self.gid())
-            .finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(RawClient, |this| service = this.service(), gid = this.gid());
 
-impl fmt::Debug for RawPending {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("RawPending")
-            .field("service", &self.state.service)
-            .field("sequence_number", &self.sequence_number)
-            .finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(
+    RawPending,
+    |this| service = this.state.service,
+    sequence_number = this.sequence_number
+);
 
-impl fmt::Debug for Availability {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Availability").field("service", &self.state.service).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(Availability, |this| service = this.state.service);

@@ -214,9 +214,6 @@ impl RawServer {
     ///
     /// # Real-time
     /// As [`RawSubscription::try_take_valid`](crate::RawSubscription::try_take_valid).
-    ///
-    /// # Errors
-    /// [`TakeError`].
     pub fn try_take(&self) -> Result<Option<RawSample>, TakeError> {
         self.requests.try_take_valid()
     }
@@ -278,7 +275,6 @@ impl RawServer {
         Ok(self.publish(id, loan, SampleKind::NoAnswer)?)
     }
 
-    /// Sends a response.
     pub(super) fn send<'s>(
         &'s self,
         id: RequestId,

@@ -28,7 +28,6 @@ pub const MAX_PENDING_REQUESTS: usize = 64;
 /// Fewer in the model, which looks at every interleaving.
 const PLACES: usize = if cfg!(taut_loom) { 2 } else { MAX_PENDING_REQUESTS };
 
-/// The outcome of a request.
 #[derive(Debug)]
 pub(crate) enum Outcome<R = RawSample> {
     Response(R),

@@ -16,7 +16,6 @@ use crate::topic::publisher::hot::{RawLoan, Sending, Stamp, WhenFull};
 use crate::topic::subscription::RawSubscription;
 use crate::topic::subscription::hot::{PollBudget, RawSample};
 use core::cell::{Cell, RefCell};
-use core::fmt;
 use core::task::Waker;
 use std::sync::Arc;
 use tautline_doorbell::Slot;
@@ -159,9 +158,6 @@ impl QueuedClient {
     /// # Real-time
     /// As [`RawSubscription::try_take_valid`](crate::RawSubscription::try_take_valid): at most 16 samples of all kinds
     /// are skipped.
-    ///
-    /// # Errors
-    /// [`TakeError`].
     pub fn try_take(&self) -> Result<Option<RawSample>, TakeError> {
         let mut budget = PollBudget::new();
         loop {
@@ -182,11 +178,4 @@ impl QueuedClient {
     }
 }
 
-impl fmt::Debug for QueuedClient {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("QueuedClient")
-            .field("service", &self.service())
-            .field("gid", &self.gid())
-            .finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(QueuedClient, |this| service = this.service(), gid = this.gid());

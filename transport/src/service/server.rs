@@ -11,7 +11,6 @@ use crate::topic::publisher::hot::RawLoan;
 use crate::topic::reader::core::SubscriptionRole;
 use crate::topic::subscription::RawSubscription;
 use crate::topic::writer::core::PublisherRole;
-use std::fmt;
 use std::sync::Arc;
 
 /// Identifies a request of a client.
@@ -99,17 +98,6 @@ impl RawServer {
     }
 }
 
-impl fmt::Debug for RawServer {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("RawServer")
-            .field("service", &self.service())
-            .field("clients", &self.client_count())
-            .finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(RawServer, |this| service = this.service(), clients = this.client_count());
 
-impl fmt::Debug for RawResponse<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("RawResponse").field("id", &self.id).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(RawResponse<'_>, |this| id = this.id);

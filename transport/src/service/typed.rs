@@ -224,10 +224,7 @@ impl<S: Service> Client<S> {
 
     /// Sends a request that was written in place, to every server. The first response counts.
     ///
-    /// # Real-time
-    /// As [`RawClient::send`].
-    ///
-    /// # Errors
+    /// # Real-time and errors
     /// As [`RawClient::send`].
     pub fn send<'c>(
         &'c self,
@@ -297,9 +294,6 @@ impl<S: ServiceCodec> Server<S> {
     ///
     /// # Real-time
     /// As [`Subscription::try_take_valid`](crate::Subscription::try_take_valid), and [`RawServer::refuse`] for each invalid one.
-    ///
-    /// # Errors
-    /// [`TakeError`].
     pub fn try_take(&self) -> Result<Option<Request<S>>, TakeError> {
         let taken = take_valid(self.requests(), &self.request, |invalid| self.refuse(invalid))?;
         Ok(taken.map(|message| Request { message }))
@@ -401,10 +395,7 @@ where
 {
     /// Lets `write` set each field in place. See [`Unwritten::write`].
     ///
-    /// # Real-time
-    /// As [`Unwritten::write`].
-    ///
-    /// # Errors
+    /// # Real-time and errors
     /// As [`Unwritten::write`].
     pub fn write(
         self,
@@ -418,10 +409,7 @@ where
 impl<S: Service> Response<'_, S> {
     /// Sends the response to the requesting client.
     ///
-    /// # Real-time
-    /// As [`RawResponse::send`](crate::RawResponse::send).
-    ///
-    /// # Errors
+    /// # Real-time and errors
     /// As [`RawResponse::send`](crate::RawResponse::send).
     #[allow(clippy::result_large_err, reason = "it gives the response back")]
     pub fn send(self) -> Result<(), SendError<Self, ServiceError>> {
@@ -451,11 +439,7 @@ where
     }
 }
 
-impl<S: ServiceCodec> fmt::Debug for Client<S> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Client").field("service", &self.raw.service()).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!([S: ServiceCodec] Client<S>, |this| service = this.raw.service());
 
 impl<S: ServiceCodec> fmt::Debug for PendingResponse<S> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -463,23 +447,11 @@ impl<S: ServiceCodec> fmt::Debug for PendingResponse<S> {
     }
 }
 
-impl<S: ServiceCodec> fmt::Debug for Server<S> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Server").field("service", &self.service()).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!([S: ServiceCodec] Server<S>, |this| service = this.service());
 
-impl<S: ServiceCodec> fmt::Debug for Request<S> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Request").field("id", &self.id()).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!([S: ServiceCodec] Request<S>, |this| id = this.id());
 
-impl<S: Service> fmt::Debug for Response<'_, S> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Response").field("id", &self.id).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!([S: Service] Response<'_, S>, |this| id = this.id);
 
 impl<S: Service> fmt::Debug for UnwrittenResponse<'_, '_, S>
 where

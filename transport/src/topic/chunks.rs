@@ -16,7 +16,6 @@ pub(crate) trait Keyed: Clone {
 /// In the order of their keys, so those of a participant are next to each other.
 #[derive(Clone)]
 pub(crate) struct Chunks<T> {
-    /// No chunk is empty.
     chunks: Vec<Arc<Vec<T>>>,
     len: usize,
 }

@@ -13,7 +13,6 @@ use tracing_subscriber::filter::filter_fn;
 use tracing_subscriber::layer::Context;
 use tracing_subscriber::registry::LookupSpan;
 
-/// Zenoh's access control.
 const TARGET: &str = "zenoh::net::routing::interceptor::access_control";
 /// Maximum of distinct refusals; a hostile peer may try any key.
 const MAX_REFUSALS: usize = 256;

@@ -294,7 +294,6 @@ fn endpoints(config: &Config, which: &str) -> Vec<String> {
     list.into_iter().map(text).collect()
 }
 
-/// The path of a Unix socket.
 pub(crate) fn socket_path(endpoint: &str) -> Option<&Path> {
     let rest = endpoint.strip_prefix("unixsock-stream/")?;
     rest.split(['?', '#']).next().map(Path::new)

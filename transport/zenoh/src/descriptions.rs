@@ -117,7 +117,6 @@ impl Descriptions {
         })
     }
 
-    /// Counts, by outcome.
     pub(crate) fn counts(&self) -> &BTreeMap<String, u64> {
         &self.counts
     }
@@ -281,7 +280,6 @@ impl Descriptions {
         }
     }
 
-    /// Answers a query.
     pub(crate) fn answer(&mut self, query: &Query, types: &mut Types) {
         match self.reply(query.payload(), types) {
             Err(reason) => self.count(reason),

@@ -9,7 +9,6 @@ use tautline_relay::Event;
 use zenoh::query::Query;
 use zenoh::sample::{Sample, SampleKind};
 
-/// Events from the network.
 pub(crate) enum NetworkEvent {
     TokenUp(String),
     TokenDown(String),

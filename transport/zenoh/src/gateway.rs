@@ -94,9 +94,6 @@ impl Gateway {
     }
 
     /// Like [`spawn`](Self::spawn), with a lock from [`Instance::wait`].
-    ///
-    /// # Errors
-    /// [`GatewayError`].
     pub fn spawn_in(options: Options, lock: InstanceLock) -> Result<Self, GatewayError> {
         let config =
             options.network.session_config(|name| std::env::var(name).ok(), options.max_message_bytes)?;

@@ -89,7 +89,6 @@ impl Graph {
         true
     }
 
-    /// The graph, for a mirror.
     pub(crate) fn there(&self) -> FarGraph {
         let mut there = FarGraph { ended: self.ended(), ..FarGraph::default() };
         for (token, entity) in self.tokens.values() {

@@ -133,7 +133,6 @@ impl Incoming {
         missing.into_iter().flatten().for_each(|request| retries.requests.send(Some(request)));
     }
 
-    /// See [`Ingress::change`].
     pub(crate) fn change(&self, change: IngressUpdate) {
         self.gate.with(|way| way.port.ingress.change(change));
     }
@@ -298,7 +297,6 @@ struct Way {
 }
 
 impl Way {
-    /// A published sample.
     fn receive(&mut self, sample: Sample) -> Option<Request> {
         let port = &mut self.port;
         match &mut self.kept {
@@ -330,7 +328,6 @@ impl Way {
     }
 }
 
-/// Admits what is a sample.
 struct SampleAdmission {
     ingress: Ingress,
     max_bytes: usize,

@@ -11,7 +11,6 @@ use std::str::FromStr;
 use zenoh::sample::Sample;
 use zenoh::session::ZenohId;
 
-/// A session's id.
 pub(crate) type SessionId = [u8; 16];
 
 /// A publisher, as zenoh-ext tells it apart: its session, and its number there. `None`: all of the session whose samples have only
@@ -33,7 +32,6 @@ impl Publisher {
         Some(Publisher(session.to_le_bytes(), number))
     }
 
-    /// Whether it is one publisher.
     pub(crate) fn is_single(&self) -> bool {
         self.1.is_some()
     }
@@ -43,7 +41,6 @@ impl Publisher {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Target {
     Publisher(Publisher),
-    /// All publishers of a session.
     Session(SessionId),
 }
 
@@ -170,7 +167,6 @@ impl<S: Placed> KeptSamples<S> {
         if publisher.is_single() { self.depth } else { self.depth.saturating_mul(Self::TOGETHER) }
     }
 
-    /// A publisher has appeared.
     pub(crate) fn appeared(&mut self, publisher: Publisher) -> Option<Request> {
         self.request(publisher, What::Last(self.depth))
     }

@@ -31,7 +31,6 @@ const OURS: &str = "tautline,";
 /// The place of entities whose token no gateway declared.
 const PLACE: &str = "zenoh";
 
-/// The note of a token with an origin.
 pub(crate) fn note(origin: &Origin) -> String {
     let Origin { tag, path, ros, place } = origin;
     let path: String = path.iter().map(|domain| format!(",{domain:016x}")).collect();

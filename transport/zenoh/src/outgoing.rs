@@ -203,7 +203,6 @@ enum AnyPublisher {
 }
 
 impl NetworkSender {
-    /// Declares the publisher.
     pub(crate) fn declare(
         session: &Session,
         key: &TopicKey,

@@ -8,7 +8,6 @@ use tautline_transport::{
     Limits, Liveliness, Qos, ServiceEndpoint, ServiceKind, TopicEndpoint, TopicType,
 };
 
-/// The entity of a token.
 #[derive(Clone, Debug)]
 pub(crate) enum RemoteEntity {
     Node(tautline_transport::NodeName),

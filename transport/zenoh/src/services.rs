@@ -36,7 +36,6 @@ pub(crate) struct NetworkServices {
     waker: Arc<ThreadWaker>,
 }
 
-/// Wakes the thread.
 #[derive(Default)]
 struct ThreadWaker {
     thread: OnceLock<Thread>,
@@ -375,7 +374,6 @@ impl FarClient for Client {
     }
 }
 
-/// The body of a payload.
 fn body(payload: &[u8], max_bytes: usize) -> Result<&[u8], String> {
     check_encapsulation(payload).map_err(|error| error.to_string())?;
     let body = payload.get(ENCAPSULATION.len()..).unwrap_or_default();

@@ -36,9 +36,6 @@ pub enum SessionError {
 }
 
 /// Opens a session whose threads have `policy`.
-///
-/// # Errors
-/// [`SessionError`].
 pub(crate) fn open(
     config: SessionConfig,
     policy: Policy,

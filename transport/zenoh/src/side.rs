@@ -24,7 +24,7 @@ use tautline_relay::{
     Report, Side, Transit, Writers,
 };
 use tautline_schema::Packages;
-use tautline_transport::{Limits, Participant, Qos, RawPublisher, SchemaStore, TopicType, TransportError};
+use tautline_transport::{Participant, SchemaStore, TopicType};
 use zenoh::liveliness::LivelinessToken;
 use zenoh::query::Reply;
 use zenoh::{Session, Wait};
@@ -321,15 +321,6 @@ impl FarSide for NetworkSide {
             &self.options.rules,
         );
         sender.map_err(|error| error.to_string())
-    }
-
-    fn port(
-        participant: &Participant,
-        topic: &str,
-        topic_type: &TopicType,
-        offered: Qos,
-    ) -> Result<RawPublisher, TransportError> {
-        participant.create_relay_publisher(topic, topic_type, offered, Limits::default())
     }
 
     fn start_in(&mut self, key: &InKey, inward: &Inward, mut ingress: Ingress) -> Result<(), String> {

@@ -11,15 +11,12 @@ use tautline_transport::{Durability, Gid, Origin};
 pub(crate) struct LocalEndpoint {
     /// Identifies it on this host; for a publisher, the GID in its samples.
     pub(crate) gid: Gid,
-    /// Its kind.
     pub(crate) kind: EndpointKind,
     /// Fully qualified name.
     pub(crate) topic: String,
-    /// Type and hash.
     pub(crate) type_id: TypeId,
     /// Quality of service.
     pub(crate) qos: WireQos,
-    /// The node it belongs to.
     pub(crate) node: NodeName,
     /// Its origin, as announced on the network.
     pub(crate) origin: Origin,
@@ -28,15 +25,12 @@ pub(crate) struct LocalEndpoint {
 /// A change to make on the network, in this order.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum TokenChange {
-    /// Declare a liveliness token.
     Declare(Token),
-    /// Withdraw it.
     Withdraw(Token),
     /// The publisher with this tag ended normally; its token is withdrawn next.
     Ended(u64),
 }
 
-/// The declared tokens.
 pub(crate) struct Tokens {
     zid: u128,
     domain: u32,
@@ -144,7 +138,6 @@ impl Tokens {
         changes
     }
 
-    /// An unused id.
     fn id(&mut self) -> u64 {
         self.next_id += 1;
         self.next_id - 1

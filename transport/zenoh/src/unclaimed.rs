@@ -68,7 +68,6 @@ pub(crate) enum Next {
     /// Nothing: none waits.
     #[default]
     Done,
-    /// Pass the next one.
     Pass,
     /// Claim memory for a message of this length.
     Claim(MemoryClaimer, usize),

@@ -16,14 +16,14 @@ use std::time::{Duration, Instant};
 use taut_cli::arguments::full_name;
 use taut_cli::date::date;
 use taut_cli::table::write_table;
-use taut_cli::verb::{CommonArgs, Failure, Outcome, time};
+use taut_cli::verb::{CommonArgs, Failure, Outcome, Verbs, time};
 use tautline_bag::{
     BagError, CDR, Damage, Event, FileReader, FileSummary, Hooks, Options, Storage, Topic, files_of,
     index_of, is_being_written, recover,
 };
 
 /// Shows, checks, repairs, cuts, merges, converts and draws bags
-#[derive(Args, Clone, Debug)]
+#[derive(Subcommand, Clone, Debug)]
 #[command(after_help = "Examples:
   taut bag info run1                     topics, messages, times; what the recorder lost
   taut bag check run1                    every byte; exit code 1 if something is wrong
@@ -32,43 +32,21 @@ use tautline_bag::{
   taut bag merge run1 run2 -o both
   taut bag convert old -o new            SQLite (.db3) or compressed files, as MCAP
   taut bag plot run1 /odom.twist.twist.linear.x -o speed.svg")]
-pub struct BagArgs {
-    #[command(subcommand)]
-    verb: Verb,
-    #[command(flatten)]
-    common: CommonArgs,
-}
-
-#[derive(Subcommand, Clone, Debug)]
-enum Verb {
-    Info(InfoArgs),
-    Check(CheckArgs),
-    Recover(RecoverArgs),
+pub enum Verb {
+    /// Prints what is in a bag, from the index of its files
+    Info(BagArg),
+    /// Reads every message and reports damage; exits with 1 if there is any
+    Check(BagArg),
+    /// Writes truncated or damaged files again, with everything in them that is intact, and metadata.yaml
+    Recover(BagArg),
     Cut(CutArgs),
     Merge(MergeArgs),
     Convert(convert::ConvertArgs),
     Plot(plot::PlotArgs),
 }
 
-/// Prints what is in a bag, from the index of its files
 #[derive(Args, Clone, Debug)]
-struct InfoArgs {
-    /// A folder of MCAP files, or one
-    #[arg(value_name = "BAG")]
-    bag: PathBuf,
-}
-
-/// Reads every message and reports damage; exits with 1 if there is any
-#[derive(Args, Clone, Debug)]
-struct CheckArgs {
-    /// A folder of MCAP files, or one
-    #[arg(value_name = "BAG")]
-    bag: PathBuf,
-}
-
-/// Writes truncated or damaged files again, with everything in them that is intact, and metadata.yaml
-#[derive(Args, Clone, Debug)]
-struct RecoverArgs {
+pub struct BagArg {
     /// A folder of MCAP files, or one
     #[arg(value_name = "BAG")]
     bag: PathBuf,
@@ -80,7 +58,7 @@ struct RecoverArgs {
   taut bag cut run1 /scan /odom -o scans
   taut bag cut run1 --from 10s --to 20s --compression zstd -o part
   taut bag cut run1 -x camera -o small")]
-struct CutArgs {
+pub struct CutArgs {
     /// A folder of MCAP files, or one
     #[arg(value_name = "BAG")]
     bag: PathBuf,
@@ -105,7 +83,7 @@ struct CutArgs {
 #[command(after_help = "Examples:
   taut bag merge run1 run2 -o both
   taut bag merge run1 --compression zstd -o small     one bag, compressed")]
-struct MergeArgs {
+pub struct MergeArgs {
     /// Folders of MCAP files, or such files
     #[arg(value_name = "BAG", required = true)]
     bags: Vec<PathBuf>,
@@ -113,7 +91,6 @@ struct MergeArgs {
     new: NewArgs,
 }
 
-/// What is written.
 #[derive(Args, Clone, Debug)]
 struct NewArgs {
     /// The new bag: a folder that does not exist yet
@@ -133,7 +110,7 @@ impl NewArgs {
     }
 }
 
-pub fn run(args: &BagArgs) -> Outcome {
+pub fn run(args: &Verbs<Verb>) -> Outcome {
     if args.common.is_domain_named() {
         return Err(Failure::unusable("a bag is of no domain: leave --domain out"));
     }
@@ -354,7 +331,6 @@ fn whole(damage: &[(PathBuf, Damage)]) -> Outcome {
     }
 }
 
-/// The sums of all files.
 struct Sum {
     topics: BTreeMap<(String, String), (Topic, u64)>,
     attachments: Vec<String>,

@@ -78,7 +78,6 @@ pub struct Clock {
     pub period_ns: u64,
 }
 
-/// The result of playing.
 pub struct Played {
     /// The number of published messages of each topic.
     pub published: Vec<u64>,

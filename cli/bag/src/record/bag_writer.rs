@@ -67,7 +67,6 @@ struct Work {
     writer: Writer,
     consumer: Consumer<u8>,
     channels: Channels,
-    /// Of each channel.
     ids: Vec<TopicId>,
     /// A message that goes over the ring's end.
     scratch: Vec<u8>,

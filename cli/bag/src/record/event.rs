@@ -20,11 +20,8 @@ pub const FRONT_BYTES: usize = 48;
 /// What a message becomes in the bag.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
-    /// The message itself.
     Message,
-    /// The request of an event.
     Request,
-    /// The response of an event.
     Response,
 }
 

@@ -333,7 +333,6 @@ impl Observers {
         self.topics.is_empty()
     }
 
-    /// In a line.
     pub fn progress(&self) -> String {
         let sum = |of: fn(&Counts) -> &AtomicU64| -> u64 {
             self.topics.iter().map(|topic| of(&topic.counts).load(Ordering::Relaxed)).sum()

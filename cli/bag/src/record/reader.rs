@@ -62,7 +62,6 @@ pub struct Taken {
     pub ports: Vec<Port>,
 }
 
-/// A publisher.
 #[derive(Clone, Copy, Debug)]
 pub struct Port {
     pub gid: Gid,
@@ -332,7 +331,6 @@ impl Place {
         None
     }
 
-    /// Whether it is kept.
     fn wants(&mut self, sample: &RawSample, is_paused: bool) -> bool {
         if is_paused {
             self.taken.paused += 1;

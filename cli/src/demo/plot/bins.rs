@@ -7,7 +7,6 @@ const MAX_DEADLINES: f64 = 4.0;
 /// Response times counted in bins of equal width, the deadline being the end of one of them.
 pub struct Bins {
     pub counts: Vec<u64>,
-    /// Width of a bin.
     pub bin_ms: f64,
     /// How many bins lie before the deadline.
     pub on_time: usize,

@@ -33,7 +33,6 @@ impl<'a> Canvas<'a> {
         self.0.draw(&PathElement::new([from, to], colour.stroke_width(width))).map_err(drawing)
     }
 
-    /// From point to point.
     pub fn path(&self, points: &[(i32, i32)], colour: RGBColor, width: u32) -> Result<(), PlotError> {
         self.0.draw(&PathElement::new(points, colour.stroke_width(width))).map_err(drawing)
     }

@@ -5,8 +5,8 @@ pub mod edit;
 mod sizes;
 mod tail;
 
-use super::explain::{INPUT_TOO_LARGE, WCET_EXCEEDED, quoted};
-use super::verdict::{Comparison, Mark, Measured, Row};
+use super::explain::{INPUT_TOO_LARGE, Mark, WCET_EXCEEDED, quoted};
+use super::verdict::{Comparison, Measured, Row};
 use super::{ReportError, System};
 use crate::date::date;
 use crate::table::{BAD, GOOD, ms, wrap, write_table};
@@ -179,7 +179,6 @@ impl<'r> Fits<'r> {
         Ok((changed.iter().map(words).collect(), anew.check().schedulable))
     }
 
-    /// The source of a value.
     fn source(&self, fit: &Fit<'_>) -> String {
         let date = date((self.taken_at_s as i64).saturating_mul(1_000_000_000));
         let day = date.split(' ').next().unwrap_or_default();

@@ -23,7 +23,6 @@ const SIGNIFICANCE: f64 = 0.05;
 /// The shape from which on the moments do not exist.
 const HEAVIEST: f64 = 0.5;
 
-/// An estimated tail.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tail {
     /// The shape: the tail is unbounded above 0, bounded below 0.

@@ -31,16 +31,16 @@ pub(super) type Result<T> = std::result::Result<T, Failure>;
 /// What may follow a message at its end, and as much again for every empty sequence of 8-byte numbers and every
 /// `wstring`: when ROS 2 computes the length of a message, it aligns elements that are not there and counts a zero at
 /// the end of a `wstring`, and then sends that many bytes.
-pub(super) const SLACK: usize = 8;
+const SLACK: usize = 8;
 
 /// A body and how far it was read.
 pub struct Reader<'a> {
     pub(super) schema: &'a Schema,
     body: &'a [u8],
-    pub(super) at: usize,
+    at: usize,
     big_endian: bool,
     /// How many bytes may follow the last field.
-    pub(super) slack: usize,
+    slack: usize,
 }
 
 impl<'a> Reader<'a> {
@@ -85,14 +85,7 @@ impl<'a> Reader<'a> {
             Shape::Single => return self.single(ty, nested),
             Shape::Array(len) => len as usize,
             Shape::Unbounded => self.length()?,
-            Shape::Bounded(bound) => {
-                let len = self.length()?;
-                if len > bound as usize {
-                    self.at -= 4;
-                    return Err(self.failure(DecodeFault::Bound { len, bound }));
-                }
-                len
-            }
+            Shape::Bounded(bound) => self.bounded_length(bound)?,
         };
         self.list(ty, nested, len).map(Value::List)
     }
@@ -148,7 +141,8 @@ impl<'a> Reader<'a> {
         Ok(elements)
     }
 
-    fn primitives(&mut self, primitive: Primitive, len: usize) -> Result<List> {
+    /// The bytes of numbers, of which each `bool` is 0 or 1.
+    pub(super) fn primitive_bytes(&mut self, primitive: Primitive, len: usize) -> Result<&'a [u8]> {
         let size = primitive.size();
         if len > 0 {
             self.align(size);
@@ -157,6 +151,18 @@ impl<'a> Reader<'a> {
         }
         let start = self.at;
         let bytes = self.take(len.saturating_mul(size))?;
+        if primitive == Primitive::Bool
+            && let Some((index, &value)) = bytes.iter().enumerate().find(|(_, byte)| **byte > 1)
+        {
+            self.at = start + index;
+            let failure = self.failure(DecodeFault::Bool { value });
+            return Err(if len > 1 { failure.in_element(index) } else { failure });
+        }
+        Ok(bytes)
+    }
+
+    fn primitives(&mut self, primitive: Primitive, len: usize) -> Result<List> {
+        let bytes = self.primitive_bytes(primitive, len)?;
         macro_rules! numbers {
             ($type:ty) => {{
                 const SIZE: usize = size_of::<$type>();
@@ -172,14 +178,7 @@ impl<'a> Reader<'a> {
             }};
         }
         Ok(match primitive {
-            Primitive::Bool => {
-                if let Some(index) = bytes.iter().position(|&byte| byte > 1) {
-                    self.at = start + index;
-                    let failure = self.failure(DecodeFault::Bool { value: bytes[index] });
-                    return Err(if len > 1 { failure.in_element(index) } else { failure });
-                }
-                List::Bool(bytes.iter().map(|&byte| byte == 1).collect())
-            }
+            Primitive::Bool => List::Bool(bytes.iter().map(|&byte| byte == 1).collect()),
             Primitive::Byte | Primitive::Char | Primitive::IdlChar | Primitive::U8 => {
                 List::U8(bytes.to_vec())
             }
@@ -254,7 +253,16 @@ impl<'a> Reader<'a> {
         Ok(len as usize)
     }
 
-    pub(super) fn align(&mut self, size: usize) {
+    pub(super) fn bounded_length(&mut self, bound: u32) -> Result<usize> {
+        let len = self.length()?;
+        if len > bound as usize {
+            self.at -= 4;
+            return Err(self.failure(DecodeFault::Bound { len, bound }));
+        }
+        Ok(len)
+    }
+
+    fn align(&mut self, size: usize) {
         self.at = self.at.next_multiple_of(size);
     }
 

@@ -2,8 +2,8 @@
 //! Checks whether bytes are a message without building values: the same result as the reader's, at the cost of
 //! one pass over the bytes.
 
-use super::read::{Reader, Result, SLACK};
-use crate::{Base, DecodeFault, FieldType, Primitive, Shape};
+use super::read::{Reader, Result};
+use crate::{Base, DecodeFault, FieldType, Shape};
 
 impl Reader<'_> {
     /// How many bytes follow the message.
@@ -29,16 +29,12 @@ impl Reader<'_> {
             Shape::Single => (1, false),
             Shape::Array(len) => (len as usize, true),
             Shape::Unbounded => (self.length()?, true),
-            Shape::Bounded(bound) => match self.length()? {
-                len if len > bound as usize => {
-                    self.at -= 4;
-                    return Err(self.failure(DecodeFault::Bound { len, bound }));
-                }
-                len => (len, true),
-            },
+            Shape::Bounded(bound) => (self.bounded_length(bound)?, true),
         };
         let min_size = match (&ty.base, nested) {
-            (Base::Primitive(primitive), _) => return self.check_primitives(*primitive, len),
+            (Base::Primitive(primitive), _) => {
+                return self.primitive_bytes(*primitive, len).map(drop);
+            }
             (Base::Nested(_), None) => return Ok(()),
             (Base::Nested(_), Some(nested)) => self.schema.node(nested).min_size,
             _ => 4,
@@ -57,28 +53,5 @@ impl Reader<'_> {
             one.map_err(|failure| if is_list { failure.in_element(index) } else { failure })?;
         }
         Ok(())
-    }
-
-    fn check_primitives(&mut self, primitive: Primitive, len: usize) -> Result<()> {
-        let size = primitive.size();
-        if len > 0 {
-            self.align(size);
-        } else if size == 8 {
-            self.slack += SLACK;
-        }
-        let start = self.at;
-        let bytes = self.take(len.saturating_mul(size))?;
-        let wrong = match primitive {
-            Primitive::Bool => bytes.iter().position(|&byte| byte > 1),
-            _ => None,
-        };
-        match wrong.and_then(|index| Some((index, *bytes.get(index)?))) {
-            Some((index, value)) => {
-                self.at = start + index;
-                let failure = self.failure(DecodeFault::Bool { value });
-                Err(if len > 1 { failure.in_element(index) } else { failure })
-            }
-            None => Ok(()),
-        }
     }
 }

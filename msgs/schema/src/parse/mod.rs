@@ -72,7 +72,6 @@ pub fn parse(name: &TypeName, file: &str, text: &str) -> Result<Vec<Definition>,
     }
 }
 
-/// A line and its number, from 1.
 pub(crate) type Numbered<'a> = (u32, &'a str);
 
 pub(crate) fn lines(text: &str) -> Vec<Numbered<'_>> {

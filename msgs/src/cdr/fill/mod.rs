@@ -253,7 +253,6 @@ fn aligned(at: usize, align: usize) -> usize {
     at.checked_next_multiple_of(align).unwrap_or(usize::MAX)
 }
 
-/// Where a length ends.
 #[inline]
 fn length_end(at: usize) -> usize {
     aligned(at, 4).saturating_add(4)

@@ -33,21 +33,30 @@ impl Text<'_> {
     }
 }
 
-impl Piece<String> for Text<'_> {
-    #[inline]
-    fn check(&self) -> Result<(), WriteError> {
-        if self.set || self.place.is_empty() { Ok(()) } else { Err(WriteError::new(WriteFault::Unset)) }
-    }
+macro_rules! piece {
+    ($text:ident) => {
+        impl Piece<String> for $text<'_> {
+            #[inline]
+            fn check(&self) -> Result<(), WriteError> {
+                match self.set || self.place.is_empty() {
+                    true => Ok(()),
+                    false => Err(WriteError::new(WriteFault::Unset)),
+                }
+            }
 
-    fn default_rest(&mut self, text: Option<&String>) {
-        if !self.set
-            && let Some(text) = text
-        {
-            // Of another length: it stays unset, which `check` reports.
-            let _ = self.set(text);
+            fn default_rest(&mut self, text: Option<&String>) {
+                if !self.set
+                    && let Some(text) = text
+                {
+                    // Of another length: it stays unset, which `check` reports.
+                    let _ = self.set(text);
+                }
+            }
         }
-    }
+    };
 }
+piece!(Text);
+piece!(WText);
 
 /// The memory for a `wstring`.
 #[derive(Debug)]
@@ -75,21 +84,6 @@ impl WText<'_> {
         }
         self.set = true;
         Ok(())
-    }
-}
-
-impl Piece<String> for WText<'_> {
-    fn check(&self) -> Result<(), WriteError> {
-        if self.set || self.place.is_empty() { Ok(()) } else { Err(WriteError::new(WriteFault::Unset)) }
-    }
-
-    fn default_rest(&mut self, text: Option<&String>) {
-        if !self.set
-            && let Some(text) = text
-        {
-            // As for `Text`.
-            let _ = self.set(text);
-        }
     }
 }
 

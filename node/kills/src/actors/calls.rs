@@ -21,7 +21,6 @@ use tautline::{
 /// Longer than most actors live.
 const LIMIT: Duration = Duration::from_millis(50);
 
-/// Ends a callback and what it owns.
 fn end(callback: Option<CallbackHandle>) -> Result<()> {
     if let Some(callback) = callback {
         callback.stop();

@@ -33,12 +33,10 @@ impl Failed {
         false
     }
 
-    /// Takes all actions, for a retry.
     pub(super) fn take(&mut self) -> Vec<(Action, String)> {
         std::mem::take(&mut self.0)
     }
 
-    /// The reasons, by topic.
     pub(super) fn reasons(&self) -> impl Iterator<Item = (String, String)> {
         self.0.iter().map(|(action, reason)| (action.topic().topic.clone(), reason.clone()))
     }

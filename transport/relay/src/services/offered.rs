@@ -22,7 +22,6 @@ pub(super) const TURN: usize = 16;
 /// Maximum of requests that wait for the server or for room in its queue; more are refused and counted.
 const MOST_WAITING: usize = 1024;
 const MOST_WAITING_BYTES: usize = 16 << 20;
-/// Time-out for a server.
 const SERVER_TIME: Duration = Duration::from_secs(10);
 /// Maximum of clients here per service, used when each has its maximum of pending requests.
 const MOST_CLIENTS: usize = 16;

@@ -75,7 +75,6 @@ impl ServiceCounters {
     }
 }
 
-/// The counters of all services.
 #[derive(Debug, Default)]
 pub(super) struct ServiceStatsTable(PiMutex<BTreeMap<(TopicKey, Direction), Counted>>);
 

@@ -114,7 +114,6 @@ struct KnownEndpoint {
     mismatch: Option<Mismatch>,
 }
 
-/// What has changed.
 #[derive(Default)]
 struct Changes {
     matched: Option<Matched>,

@@ -81,8 +81,4 @@ impl PublisherMonitor {
     }
 }
 
-impl std::fmt::Debug for PublisherMonitor {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("PublisherMonitor").field("topic", &self.topic()).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(PublisherMonitor, |this| topic = this.topic());

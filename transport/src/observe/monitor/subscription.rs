@@ -139,8 +139,4 @@ impl SubscriptionMonitor {
     }
 }
 
-impl std::fmt::Debug for SubscriptionMonitor {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("SubscriptionMonitor").field("topic", &self.topic()).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(SubscriptionMonitor, |this| topic = this.topic());

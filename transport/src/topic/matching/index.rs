@@ -98,7 +98,6 @@ pub(super) struct IndexUpdate {
     pub(super) ended: Vec<(PortKey, Vec<u8>)>,
     /// Ports that have disappeared: identifier, topic, and whether together with their process.
     pub(super) removed: Vec<(Gid, u64, bool)>,
-    /// A participant has gone.
     pub(super) gone: bool,
     /// Something could not be read, and may be later.
     pub(super) is_refused: bool,

@@ -58,8 +58,4 @@ impl Claiming<'_> {
     }
 }
 
-impl std::fmt::Debug for MemoryClaimer {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("MemoryClaimer").field("topic", &self.core.topic.name).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(MemoryClaimer, |this| topic = this.core.topic.name);

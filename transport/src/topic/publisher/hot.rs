@@ -388,7 +388,6 @@ impl<'p> RawLoan<'p> {
         all.get(..padded(self.len_bytes)).unwrap_or_default()
     }
 
-    /// As [`payload`](Self::payload).
     pub(crate) fn payload_mut(&mut self) -> &mut [u8] {
         let padded = padded(self.len_bytes);
         self.all_mut().get_mut(..padded).unwrap_or_default()
@@ -445,10 +444,7 @@ impl<'p> RawLoan<'p> {
     /// Publishes with a release time set by the caller, in `CLOCK_MONOTONIC` nanoseconds. Response times are
     /// measured from the release time, for example the time at which a periodic publisher should have woken.
     ///
-    /// # Real-time
-    /// As [`publish`](Self::publish).
-    ///
-    /// # Errors
+    /// # Real-time and errors
     /// As [`publish`](Self::publish).
     pub fn publish_released_at(self, released_ns: u64) -> Result<(), SendError<RawLoan<'p>>> {
         self.publish_with(Sending::of(Stamp::ReleasedAt(released_ns)))
@@ -458,10 +454,7 @@ impl<'p> RawLoan<'p> {
     /// [`MessageInfo`]. Its release time is now, and losses are counted by this publisher's own numbers, so messages of
     /// many remote publishers may go through one port.
     ///
-    /// # Real-time
-    /// As [`publish`](Self::publish).
-    ///
-    /// # Errors
+    /// # Real-time and errors
     /// As [`publish`](Self::publish).
     pub fn publish_as(self, source: MessageInfo) -> Result<(), SendError<RawLoan<'p>>> {
         self.publish_with(Sending::of(Stamp::As(source, NEVER)))
@@ -470,10 +463,7 @@ impl<'p> RawLoan<'p> {
     /// Like [`publish_as`](Self::publish_as), for a message that may still be delivered for the time `left`, the rest of its
     /// publisher's lifespan.
     ///
-    /// # Real-time
-    /// As [`publish`](Self::publish).
-    ///
-    /// # Errors
+    /// # Real-time and errors
     /// As [`publish`](Self::publish).
     pub fn publish_as_for(
         self,
@@ -487,10 +477,7 @@ impl<'p> RawLoan<'p> {
     /// Publishes a recorded message: subscriptions read in their [`MessageInfo`] its recorded number and time stamp (for the number 0,
     /// this publisher's number), and `source.released_ns` as its new release time. The message still counts as one of this publisher.
     ///
-    /// # Real-time
-    /// As [`publish`](Self::publish).
-    ///
-    /// # Errors
+    /// # Real-time and errors
     /// As [`publish`](Self::publish).
     pub fn publish_again(self, source: MessageInfo) -> Result<(), SendError<RawLoan<'p>>> {
         self.publish_with(Sending::of(Stamp::Again(source)))

@@ -265,14 +265,7 @@ impl AsRef<RawPublisher> for RawPublisher {
     }
 }
 
-impl std::fmt::Debug for RawPublisher {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("RawPublisher")
-            .field("topic", &self.topic())
-            .field("gid", &self.gid())
-            .finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!(RawPublisher, |this| topic = this.topic(), gid = this.gid());
 
 impl Drop for RawPublisher {
     fn drop(&mut self) {

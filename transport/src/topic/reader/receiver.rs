@@ -116,7 +116,6 @@ impl Drop for BorrowedChunk {
     }
 }
 
-/// A sample that was taken.
 pub(crate) struct TakenSample {
     pub(crate) held: BorrowedChunk,
     pub(crate) header: SampleHeader,

@@ -16,7 +16,6 @@ use std::sync::{Arc, Weak};
 use tautline_rt::shm::Mapping;
 use tautline_rt::{PiGuard, PiMutex};
 
-/// A publisher's memory.
 #[derive(Clone)]
 pub(crate) enum PublisherMemory {
     Own(Arc<PublisherCore>),

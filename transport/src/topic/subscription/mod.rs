@@ -40,7 +40,6 @@ pub struct RawSubscription {
     _node: Option<Arc<NodeEntry>>,
 }
 
-/// How polls go.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum PollState {
     /// The last poll found nothing: publishers ring.

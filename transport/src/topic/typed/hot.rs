@@ -159,11 +159,7 @@ impl<'p, 's, T: Message + Fill> Unwritten<'p, 's, T> {
     }
 }
 
-impl<T: Message + Fill> fmt::Debug for Unwritten<'_, '_, T> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Unwritten").field("body_bytes", &self.raw.len()).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!([T: Message + Fill] Unwritten<'_, '_, T>, |this| body_bytes = this.raw.len());
 
 /// A message in a loan, ready to be published; for a plain type it is a `&mut T` in shared memory. Dropping it returns
 /// the memory without sending.
@@ -211,10 +207,7 @@ impl<'p, T: Message> Loan<'p, T> {
     /// Publishes with a release time set by the caller, in `CLOCK_MONOTONIC` nanoseconds. Response times are
     /// measured from the release time, for example the time at which a periodic publisher should have woken.
     ///
-    /// # Real-time
-    /// As [`publish`](Self::publish).
-    ///
-    /// # Errors
+    /// # Real-time and errors
     /// As [`publish`](Self::publish).
     pub fn publish_released_at(self, released_ns: u64) -> Result<(), SendError<Loan<'p, T>>> {
         let published = self.ready().publish_released_at(released_ns);
@@ -267,11 +260,7 @@ impl<T: Message + Plain> DerefMut for Loan<'_, T> {
     }
 }
 
-impl<T: Message> fmt::Debug for Loan<'_, T> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Loan").field("body_bytes", &self.raw.len()).finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!([T: Message] Loan<'_, T>, |this| body_bytes = this.raw.len());
 
 /// A message in shared memory, checked when it was taken: read in place through its [`view`](Sample::view); a sample of a
 /// plain type derefs to `T`. A subscription lends at most `Limits::held` samples at once; they may be dropped in any

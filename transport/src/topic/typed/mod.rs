@@ -100,21 +100,13 @@ impl<T: Codec> Publisher<T> {
     }
 }
 
-/// The untyped publisher.
 impl<T: Codec> AsRef<RawPublisher> for Publisher<T> {
     fn as_ref(&self) -> &RawPublisher {
         &self.raw
     }
 }
 
-impl<T: Codec> std::fmt::Debug for Publisher<T> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Publisher")
-            .field("topic", &self.raw.topic())
-            .field("gid", &self.raw.gid())
-            .finish_non_exhaustive()
-    }
-}
+tautline_rt::debug_fields!([T: Codec] Publisher<T>, |this| topic = this.raw.topic(), gid = this.raw.gid());
 
 /// Receives messages of type `T` from one topic. A stream of [`Sample`](crate::Sample)s, or [`try_take`](Subscription::try_take).
 ///
@@ -173,7 +165,6 @@ impl<T: Decode> Subscription<T> {
     }
 }
 
-/// The untyped subscription.
 impl<T: Decode> AsRef<RawSubscription> for Subscription<T> {
     fn as_ref(&self) -> &RawSubscription {
         &self.raw
@@ -236,10 +227,7 @@ impl Participant {
     /// The same for callers that know more about the type than `T` states, like
     /// [`create_publisher_of`](Self::create_publisher_of).
     ///
-    /// # Real-time
-    /// As [`create_subscription`](Self::create_subscription).
-    ///
-    /// # Errors
+    /// # Real-time and errors
     /// As [`create_subscription`](Self::create_subscription).
     pub fn create_subscription_of<T: Decode>(
         &self,

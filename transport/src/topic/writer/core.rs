@@ -93,11 +93,9 @@ struct Setup {
     proxies: Chunks<ReaderProxy>,
     /// Senders that are not yet in a table that was handed over.
     unserved: Vec<Arc<ReaderChannel>>,
-    /// How many of them are retired.
     retired: usize,
     /// Minimum length of their lists of samples in use, now or soon, in words.
     words: usize,
-    /// What they require.
     demand: Demand,
     endpoints: Endpoints,
     table: LatestWriter<Arc<ReaderTable>>,

@@ -52,7 +52,6 @@ pub(crate) struct ReaderChannel {
     half: UnsafeCell<SendHalf>,
 }
 
-/// The sending half.
 struct SendHalf {
     /// The samples that were submitted and not returned yet: one bit for each number.
     out: Box<[u64]>,
@@ -160,7 +159,6 @@ impl ReaderChannel {
         self.connection.block()
     }
 
-    /// How many samples are out.
     #[cfg(all(test, not(taut_loom)))]
     pub(crate) fn samples_out(&self) -> u32 {
         // SAFETY: tests call this in the thread that publishes.
@@ -175,7 +173,6 @@ impl ReaderChannel {
         self.room.load(Ordering::Acquire)
     }
 
-    /// The process that takes.
     pub(crate) fn process(&self) -> u32 {
         match &self.owner {
             ArenaOwner::Own(_) => std::process::id(),

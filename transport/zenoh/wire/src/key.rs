@@ -19,9 +19,6 @@ pub struct TopicKey {
 
 impl TopicKey {
     /// Parses a key expression.
-    ///
-    /// # Errors
-    /// [`Malformed`].
     pub fn parse(key: &str) -> Result<Self, Malformed> {
         if key.len() > MAX_KEY_BYTES {
             return Err(Malformed::KeyTooLong);

@@ -104,9 +104,6 @@ pub struct Token {
 impl Token {
     /// Parses a token's key expression. Further parts are kept for an endpoint's token, and dropped for a node's behind the note,
     /// as in rmw_zenoh.
-    ///
-    /// # Errors
-    /// [`Malformed`].
     pub fn parse(key: &str) -> Result<Self, Malformed> {
         if key.len() > MAX_KEY_BYTES {
             return Err(Malformed::KeyTooLong);

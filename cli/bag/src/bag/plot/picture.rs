@@ -31,10 +31,8 @@ const APART: i32 = 12;
 /// Greater numbers are shown as differences from the first one.
 const MOST_DIGITS: f64 = 1e7;
 
-/// The most ticks of an axis.
 const MOST_TICKS: u32 = 1000;
 
-/// What is drawn.
 pub struct Picture<'p> {
     /// The bag's name.
     pub name: String,
@@ -200,7 +198,6 @@ struct Ticks {
 }
 
 impl Ticks {
-    /// About as many as this.
     fn new(low: f64, high: f64, many: f64) -> Self {
         let step = round_step((high - low) / many.max(2.0));
         let values: Vec<f64> = (0..MOST_TICKS)
