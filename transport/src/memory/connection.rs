@@ -20,7 +20,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use tautline_rt::shm::Mapping;
 
-pub(super) const MAGIC: u64 = u64::from_le_bytes(*b"tautcon1");
+const MAGIC: u64 = u64::from_le_bytes(*b"tautcon1");
 
 /// How far the subscription has come with a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -386,6 +386,18 @@ mod tests {
 
     const GID: Gid = Gid([3; 16]);
     const SHAPE: Shape = Shape { depth: 3, held: 2, loans: 2, is_observer: false };
+
+    /// If this fails, a participant's file has another layout than before: raise its `VERSION`, and state here what it is now.
+    #[test]
+    fn another_layout_is_another_version() {
+        use crate::memory::{control, file};
+        let magics =
+            [control::MAGIC, MAGIC].map(|magic| String::from_utf8(magic.to_le_bytes().into()).unwrap());
+        let lengths =
+            [size_of::<file::ParticipantHeader>(), size_of::<control::PublisherHead>(), size_of::<Block>()];
+        let expected = (3, ["tautpub1".to_owned(), "tautcon1".to_owned()], [120, 1216, 320]);
+        assert_eq!((file::VERSION, magics, lengths), expected);
+    }
 
     /// The same memory twice, as two processes see it.
     fn memory(len: usize) -> [Arc<Mapping>; 2] {
