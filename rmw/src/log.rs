@@ -7,7 +7,7 @@ use std::ffi::CString;
 use std::fmt::{self, Write};
 use std::sync::atomic::{AtomicPtr, AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use tautline_rt::fork::{ProcessMark, ProcessMutex};
+use tautline_rt::fork::{ProcessMark, ProcessMutex, without_forks};
 use tautline_rt::{Realtime, ThreadBuilder};
 use tracing::field::{Field, Visit};
 use tracing::span::{Attributes, Id, Record};
@@ -62,11 +62,12 @@ struct ToRos {
 
 fn pass_on(lines: &Receiver<(u32, CString)>) {
     for (severity, text) in lines {
+        // A forked child logs, too, with the locks of ROS's handlers.
         // SAFETY: NUL-terminated texts that outlive the call; the format takes one.
-        unsafe {
+        without_forks(|| unsafe {
             let (name, format) = (c"rmw_tautline".as_ptr(), c"%s".as_ptr());
             rcutils_log(std::ptr::null(), severity as i32, name, format, text.as_ptr());
-        }
+        });
     }
 }
 

@@ -36,8 +36,11 @@ static LIST: LazyLock<PiMutex<List>> = LazyLock::new(|| {
 /// How often this process and those that it comes from were forked off.
 static FORKS: AtomicU32 = AtomicU32::new(0);
 
-/// The lock while the process forks.
-struct Held(UnsafeCell<Option<PiGuard<'static, List>>>);
+/// Held while the process forks, and in [`without_forks`].
+static FORKING: Mutex<()> = Mutex::new(());
+
+/// The locks while the process forks.
+struct Held(UnsafeCell<Option<(MutexGuard<'static, ()>, PiGuard<'static, List>)>>);
 
 // SAFETY: accessed only by the thread that holds the lock of `LIST`, or has just got it.
 unsafe impl Sync for Held {}
@@ -56,9 +59,10 @@ fn list() -> PiGuard<'static, List> {
 }
 
 unsafe extern "C" fn before() {
-    let guard = LIST.lock();
+    let forking = FORKING.lock().unwrap_or_else(PoisonError::into_inner);
+    let list = LIST.lock();
     // SAFETY: this thread has the lock.
-    unsafe { *HELD.0.get() = Some(guard) };
+    unsafe { *HELD.0.get() = Some((forking, list)) };
 }
 
 unsafe extern "C" fn in_parent() {
@@ -70,7 +74,8 @@ unsafe extern "C" fn in_parent() {
 unsafe extern "C" fn in_child() {
     FORKS.fetch_add(1, Ordering::Relaxed);
     // SAFETY: the child's only thread is the one that took the lock.
-    let Some(list) = (unsafe { (*HELD.0.get()).take() }) else { return };
+    let Some((forking, list)) = (unsafe { (*HELD.0.get()).take() }) else { return };
+    drop(forking);
     if let Some(null) = &list.null {
         for file in &list.files {
             // SAFETY: replaces what a ProcessFd owns by something else that it then owns.
@@ -158,6 +163,17 @@ impl<T: Send> Renew for ProcessMutex<T> {
         // SAFETY: no other thread is there, and no guard. What it protected is not dropped: it may be changed by half.
         unsafe { self.mutex.get().write(Mutex::new((self.first)())) };
     }
+}
+
+/// Runs `body` while no other thread forks. For what takes locks of other libraries: a child would find them locked forever. A thread
+/// that forks waits for it; `body` itself must not fork.
+///
+/// # Real-time
+/// Not for real-time threads: waits for a fork, and for other threads that are in here.
+pub fn without_forks<R>(body: impl FnOnce() -> R) -> R {
+    drop(list());
+    let _forking = FORKING.lock().unwrap_or_else(PoisonError::into_inner);
+    body()
 }
 
 /// A descriptor of this process alone.

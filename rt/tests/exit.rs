@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a forked child has of its parent: neither exit handlers nor locks.
 
-use std::sync::atomic::{AtomicI32, Ordering};
-use std::sync::{Barrier, mpsc};
-use tautline_rt::fork::ProcessMutex;
+use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
+use std::sync::{Barrier, Mutex, mpsc};
+use tautline_rt::fork::{ProcessMutex, without_forks};
 use tautline_rt::{at_exit, exempt_children};
 
 /// The process whose exit handler this is.
@@ -47,6 +47,21 @@ fn a_child_exits_with_its_own_handlers_only() {
     assert!(libc::WIFEXITED(status) && libc::WEXITSTATUS(status) == 3, "{status}");
 }
 
+/// What a forked child finds; false also if it does not end within a minute.
+fn holds_in_a_child(condition: impl Fn() -> bool) -> bool {
+    let mut status = 0;
+    // SAFETY: the child has only this thread, and ends here; `status` is writable.
+    unsafe {
+        let child = libc::fork();
+        if child == 0 {
+            libc::alarm(60);
+            libc::_exit(i32::from(!condition()));
+        }
+        assert_eq!(libc::waitpid(child, &mut status, 0), child);
+    }
+    libc::WIFEXITED(status) && libc::WEXITSTATUS(status) == 0
+}
+
 #[test]
 fn a_child_has_the_locks_that_its_parents_threads_hold() {
     static VALUE: ProcessMutex<u32> = ProcessMutex::new(0, || 0);
@@ -59,20 +74,27 @@ fn a_child_has_the_locks_that_its_parents_threads_hold() {
         let _ = ended.recv();
     });
     HELD.wait();
-    let mut status = 0;
-    // SAFETY: the child has only this thread, and ends here; `status` is writable.
-    unsafe {
-        let child = libc::fork();
-        if child == 0 {
-            // It ends in any case.
-            libc::alarm(60);
-            libc::_exit(i32::from(*VALUE.lock() != 0));
-        }
-        assert_eq!(libc::waitpid(child, &mut status, 0), child);
-    }
-    assert!(libc::WIFEXITED(status) && libc::WEXITSTATUS(status) == 0, "{status}");
+    assert!(holds_in_a_child(|| *VALUE.lock() == 0));
     assert!(VALUE.try_lock().is_none(), "the parent's is held");
     drop(end);
     holder.join().unwrap();
     assert_eq!(*VALUE.lock(), 7);
+}
+
+#[test]
+fn a_fork_waits_for_what_takes_locks_of_other_libraries() {
+    static OF_ANOTHER: Mutex<()> = Mutex::new(());
+    static ENDS: AtomicBool = AtomicBool::new(false);
+    let logs = std::thread::spawn(|| {
+        while !ENDS.load(Ordering::Relaxed) {
+            without_forks(|| {
+                let _locked = OF_ANOTHER.lock().unwrap();
+                tautline_rt::clock::burn_cpu(std::time::Duration::from_micros(20));
+            });
+        }
+    });
+    let free = (0..200).filter(|_| holds_in_a_child(|| OF_ANOTHER.try_lock().is_ok())).count();
+    ENDS.store(true, Ordering::Relaxed);
+    logs.join().unwrap();
+    assert_eq!(free, 200);
 }

@@ -15,7 +15,6 @@ use crate::settings::{TraceMode, TraceSettings};
 use crate::sync::Ordering;
 use crate::thread;
 use std::cell::Cell;
-use std::sync::MutexGuard;
 use std::time::Duration;
 use tautline_rt::fork::{ProcessMark, ProcessMutex};
 use tautline_rt::shm::{OwnFile, ShmError};
@@ -47,11 +46,7 @@ struct OwnTraceFile {
 /// Sets the trace settings of this process, instead of `TAUT_TRACE` and `TAUT_TRACE_EVENTS`. They apply to the file that is
 /// created with the first membership of a domain, so call it before. A forked child has settings of its own.
 pub fn configure(settings: TraceSettings) {
-    process().settings = Some(settings);
-}
-
-fn process() -> MutexGuard<'static, Process> {
-    PROCESS.lock()
+    PROCESS.lock().settings = Some(settings);
 }
 
 /// A membership of a domain, which ends when this is dropped.
@@ -65,7 +60,7 @@ pub struct Membership(ProcessMark);
 /// # Errors
 /// [`TraceError`]: a variable with an invalid value, a file that cannot be created.
 pub fn join(domain: u32) -> Result<Membership, TraceError> {
-    let mut process = process();
+    let mut process = PROCESS.lock();
     if process.memberships == 0 {
         let settings = match process.settings {
             Some(settings) => settings,
@@ -85,7 +80,7 @@ impl Drop for Membership {
         if !self.0.is_here() {
             return;
         }
-        let mut process = process();
+        let mut process = PROCESS.lock();
         process.memberships -= 1;
         if process.memberships == 0
             && let Some(own) = process.file.take()
@@ -97,7 +92,7 @@ impl Drop for Membership {
 
 /// Gives one more ring memory, for the current thread, which claims it with `claim` before anybody else comes.
 pub(crate) fn with_spare_ring(claim: impl FnOnce()) {
-    let process = process();
+    let process = PROCESS.lock();
     if let Some(own) = &process.file {
         if own.missing_rings(SPARE_RINGS + 1) > 0 {
             own.look_now_and_then();
@@ -114,7 +109,7 @@ const PERIOD: Duration = Duration::from_millis(250);
 /// low-priority thread, when a recorder has started. Returns the time after which to check again; `None`: only when the next recorder
 /// starts.
 pub fn attend() -> Option<Duration> {
-    let is_recorded = process().file.as_ref().is_some_and(OwnTraceFile::attend);
+    let is_recorded = PROCESS.lock().file.as_ref().is_some_and(OwnTraceFile::attend);
     is_recorded.then_some(PERIOD)
 }
 
@@ -280,7 +275,7 @@ fn is_ready(ring: &Ring) -> bool {
 
 /// Call at the process's end, when its threads may still write events.
 pub fn leave_at_exit() {
-    if let Some(own) = &process().file {
+    if let Some(own) = &PROCESS.lock().file {
         own.leave();
     }
 }
@@ -295,7 +290,7 @@ pub(crate) struct ObjectEntry {
 }
 
 pub(crate) fn describe(object: &Description) -> Option<ObjectEntry> {
-    let mut process = process();
+    let mut process = PROCESS.lock();
     let Process { file: Some(own), free, .. } = &mut *process else { return None };
     let index = free.take().filter(|index| {
         let (offset, len) = own.map.object_range(*index);
@@ -312,7 +307,7 @@ pub(crate) fn describe(object: &Description) -> Option<ObjectEntry> {
 }
 
 pub(crate) fn forget(entry: ObjectEntry) {
-    let mut process = process();
+    let mut process = PROCESS.lock();
     if process.file.is_some() && entry.generation == thread::generation() {
         process.free.give_back(entry.index);
     }
