@@ -231,6 +231,14 @@ pub fn idle() -> u64 {
     METER.with(|meter| meter.lap(monotonic_ns()))
 }
 
+/// When this thread's last measured job ended, or [`idle`] was called, on `CLOCK_MONOTONIC`; 0 before.
+///
+/// # Real-time
+/// Wait-free; no allocation; no syscall.
+pub fn lap_ns() -> u64 {
+    METER.with(|meter| meter.lap_ns.get())
+}
+
 /// The processor time that this thread has used since its last job, or since [`idle`]; `None` before the first of these. From the first call
 /// on, jobs of this thread are measured exactly, with one syscall each.
 ///

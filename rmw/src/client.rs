@@ -263,8 +263,8 @@ pub unsafe extern "C" fn rmw_take_response(
             );
             return Ok(());
         }
-        *header = info_of(sample.info());
-        client.end.begin(&sample.info());
+        let info = sample.info();
+        *header = info_of(&info, client.end.begin(&info));
         *taken = true;
         Ok(())
     })

@@ -13,6 +13,7 @@ use crate::thread::{self, ThreadPlan};
 use std::sync::{Arc, Weak};
 use std::task::Waker;
 use tautline_rt::PiMutex;
+use tautline_rt::clock::{monotonic_ns, wall_ns};
 use tautline_transport::{MessageInfo, RawSample, RawSubscription, TakeError, Wakeable};
 
 /// An endpoint with a queue of messages.
@@ -164,18 +165,21 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
         taken
     }
 
-    /// Starts a job for the taken message. Executors that use callbacks for new messages do not wait here, so the end of their
-    /// jobs is unknown.
+    /// Starts a job for the taken message, and returns when it appeared on this host, by the system clock, in nanoseconds. Executors that
+    /// use callbacks for new messages do not wait here, so the end of their jobs is unknown.
     ///
     /// # Real-time
     /// As [`Jobs::begin`].
-    pub(crate) fn begin(&self, info: &MessageInfo) {
+    pub(crate) fn begin(&self, info: &MessageInfo) -> i64 {
+        let now_ns = monotonic_ns();
         if let Some(plan) = self.thread() {
             thread::govern_taker(plan);
         }
         if !self.callback.is_set() {
-            self.jobs.begin(info.released_ns);
+            self.jobs.begin(info.released_ns, now_ns);
         }
+        let age_ns = now_ns.saturating_sub(info.released_ns);
+        wall_ns().saturating_sub(i64::try_from(age_ns).unwrap_or(0))
     }
 
     /// Sets or removes the callback for new messages. It is called here for messages not reported before, like other RMWs do;

@@ -48,14 +48,14 @@ struct Before {
 }
 
 impl Before {
-    fn is_over(self) -> bool {
-        self.limit_ns.is_some_and(|limit_ns| monotonic_ns() >= limit_ns)
+    fn is_over(self, now_ns: u64) -> bool {
+        self.limit_ns.is_some_and(|limit_ns| now_ns >= limit_ns)
     }
 
     /// At the start of a job; `None` if the executor may have run a timer before.
-    fn take() -> Option<(u64, u64)> {
+    fn take(now_ns: u64) -> Option<(u64, u64)> {
         let before = BEFORE.try_with(|cell| cell.replace(Before { used_ns: 0, ..cell.get() })).ok()?;
-        foreign::used_ns().filter(|_| !before.is_over()).map(|used_ns| (before.used_ns, used_ns))
+        foreign::used_ns().filter(|_| !before.is_over(now_ns)).map(|used_ns| (before.used_ns, used_ns))
     }
 }
 
@@ -88,11 +88,11 @@ impl Jobs {
         }))
     }
 
-    /// This thread has taken a message, released at `released_ns`, and runs the callback.
+    /// This thread has now taken a message, released at `released_ns`, and runs the callback.
     ///
     /// # Real-time
     /// A load if nobody traces or measures; else as [`ForeignCallback::begin`], with one syscall more where overheads are measured.
-    pub(crate) fn begin(self: &Arc<Self>, released_ns: u64) {
+    pub(crate) fn begin(self: &Arc<Self>, released_ns: u64, now_ns: u64) {
         if self.measured.is_none() && self.executor.is_none() && !tautline_trace::is_on() {
             return;
         }
@@ -101,14 +101,14 @@ impl Jobs {
             let before = self.noted.fetch_max(lost, Ordering::Relaxed);
             let (lost, max_queue) = (lost.saturating_sub(before), self.counters.max_queue());
             // A timer that the executor may have run since its wait is no part of the job.
-            if BEFORE.try_with(|before| before.get().is_over()).unwrap_or(false) {
+            if BEFORE.try_with(|before| before.get().is_over(now_ns)).unwrap_or(false) {
                 foreign::idle();
             }
             measured.begin(released_ns, QueueState { lost, max_queue, depth: self.depth });
         }
         tautline_trace::callback_start(self.traced.id(), released_ns);
         // A thread in shutdown has no thread-locals.
-        let before_ns = self.executor.as_ref().and_then(|_| Before::take());
+        let before_ns = self.executor.as_ref().and_then(|_| Before::take(now_ns));
         let job = Job { jobs: self.clone(), released_ns, before_ns };
         let _ = RUNNING.try_with(|running| running.replace(Some(job)));
     }
@@ -143,20 +143,24 @@ pub(crate) fn end() -> bool {
     true
 }
 
-/// The thread waits, at most until `deadline_ns`, which matters only to a trace and to the overheads of executors.
+/// The thread waits, at most for `timeout_ns`, which is used only where callbacks are measured or traced.
 ///
 /// # Real-time
 /// As [`end`]; one syscall more where callbacks are measured, if none has run.
-pub(crate) fn wait(waits: &SamplerObject, deadline_ns: Option<u64>, is_measured: bool) {
+pub(crate) fn wait(waits: &SamplerObject, timeout_ns: Option<u64>, is_measured: bool) {
     let before = BEFORE.get();
     let in_vain_ns = if end() || !is_measured { 0 } else { foreign::idle() };
-    let used_ns = if before.is_over() { 0 } else { in_vain_ns };
-    let limit_ns = deadline_ns.filter(|_| is_measured);
+    let used_ns = if in_vain_ns == 0 || before.is_over(foreign::lap_ns()) { 0 } else { in_vain_ns };
+    // Another clock reading would cost as much as the rest of this.
+    let until = |now_ns: u64| timeout_ns.map(|timeout_ns| now_ns.saturating_add(timeout_ns));
+    let limit_ns = if is_measured { until(foreign::lap_ns()) } else { None };
     BEFORE.set(Before { used_ns: before.used_ns.saturating_add(used_ns), limit_ns });
-    if IS_AWAKE.replace(false) {
-        tautline_trace::spin_end(waits);
+    if tautline_trace::is_on() {
+        if IS_AWAKE.replace(false) {
+            tautline_trace::spin_end(waits);
+        }
+        tautline_trace::spin_start(waits, until(monotonic_ns()));
     }
-    tautline_trace::spin_start(waits, deadline_ns);
 }
 
 /// The wait has ended: something is ready, or it timed out.

@@ -8,7 +8,6 @@ use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, text};
 use crate::node::{self, Node, check_full_name};
 use crate::on_new::Listeners;
 use crate::qos::{self, EndpointRole};
-use crate::subscription::received_ns;
 use crate::types::ServiceSupport;
 use std::ffi::{c_char, c_void};
 use std::sync::Arc;
@@ -133,10 +132,10 @@ impl Depth {
 }
 
 /// Identifies a request or response.
-pub(crate) fn info_of(info: MessageInfo) -> rmw_service_info_t {
+pub(crate) fn info_of(info: &MessageInfo, received_ns: i64) -> rmw_service_info_t {
     rmw_service_info_t {
         source_timestamp: info.source_timestamp_ns,
-        received_timestamp: received_ns(&info),
+        received_timestamp: received_ns,
         request_id: rmw_request_id_t {
             // Signed in some distributions.
             writer_guid: info.publisher_gid.0.map(|byte| byte as _),
@@ -230,8 +229,8 @@ pub unsafe extern "C" fn rmw_take_request(
             service.end.with(|raw| service.refuse(raw, &sample, &reason));
             return Ok(());
         }
-        *header = info_of(sample.info());
-        service.end.begin(&sample.info());
+        let info = sample.info();
+        *header = info_of(&info, service.end.begin(&info));
         *taken = true;
         Ok(())
     })

@@ -5,7 +5,6 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::task::Wake;
 use tautline_rt::FutexWord;
-use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{ThreadBell, Wakeable};
 
 /// A flag that wakes wait sets.
@@ -70,9 +69,4 @@ impl Wake for Waiter {
     fn wake_by_ref(self: &Arc<Self>) {
         Wakeable::wake(&**self);
     }
-}
-
-/// The `CLOCK_MONOTONIC` time at which a wait of this length ends.
-pub(crate) fn deadline_ns(sec: u64, nsec: u64) -> u64 {
-    monotonic_ns().saturating_add(sec.saturating_mul(1_000_000_000).saturating_add(nsec))
 }

@@ -16,7 +16,6 @@ use std::ffi::{c_char, c_void};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use tautline_rt::PiMutex;
-use tautline_rt::clock::{monotonic_ns, wall_ns};
 use tautline_sampler::SubscriptionEvents;
 use tautline_schema::{DynamicMessage, Endian};
 use tautline_transport::{MatchedCount, MessageInfo, RawSample, RawSubscription, TakeError};
@@ -93,8 +92,8 @@ impl Subscription {
             let info = sample.info();
             match read(sample) {
                 Ok(message) => {
-                    self.end.begin(&info);
-                    return Ok(Some((message, self.info(info))));
+                    let received_ns = self.end.begin(&info);
+                    return Ok(Some((message, self.info(info, received_ns))));
                 }
                 // Not an error for the caller: executors would end, and any process can publish.
                 Err(error) if error.code == RET_ERROR => self.warn(&format!("{error:?}")),
@@ -109,10 +108,10 @@ impl Subscription {
         tracing::warn!("a message was dropped, because it is not a valid {name}: {reason}");
     }
 
-    fn info(&self, info: MessageInfo) -> rmw_message_info_t {
+    fn info(&self, info: MessageInfo, received_ns: i64) -> rmw_message_info_t {
         rmw_message_info_t {
             source_timestamp: info.source_timestamp_ns,
-            received_timestamp: received_ns(&info),
+            received_timestamp: received_ns,
             publication_sequence_number: info.sequence_number,
             reception_sequence_number: self.received.fetch_add(1, Ordering::Relaxed) + 1,
             publisher_gid: gid_to_ros(info.publisher_gid),
@@ -250,12 +249,6 @@ pub unsafe extern "C" fn rmw_return_loaned_message_from_subscription(
         }
         Ok(())
     })
-}
-
-/// When the message appeared on this host, by the system clock, in nanoseconds.
-pub(crate) fn received_ns(info: &MessageInfo) -> i64 {
-    let age_ns = monotonic_ns().saturating_sub(info.released_ns);
-    wall_ns().saturating_sub(i64::try_from(age_ns).unwrap_or(0))
 }
 
 /// # Safety

@@ -148,12 +148,7 @@ impl System {
 
     /// Whether processor time of callbacks is measured, which costs a system call for each, or for several in a row.
     pub(crate) fn measures_execution(&self) -> bool {
-        self.file.is_some() || self.measures_overheads()
-    }
-
-    /// Whether that of executors is.
-    pub(crate) fn measures_overheads(&self) -> bool {
-        self.overheads.is_some()
+        self.file.is_some() || self.overheads.is_some()
     }
 
     /// Where the overhead is recorded that the executor has with what `node` does with messages of `topic`; `None` if it is not measured.
@@ -379,10 +374,7 @@ impl System {
         if entry.is_none() {
             self.warn_of_unlisted(node, topic);
         }
-        // What follows a change of parameters is in no file.
-        let is_unlisted = is_named && entry.is_none() && topic == OF_EVERY_NODE[0];
-        let Some(statistics) = self.statistics.as_ref().filter(|_| (is_named || is_topic) && !is_unlisted)
-        else {
+        let Some(statistics) = self.statistics.as_ref().filter(|_| is_named || is_topic) else {
             return Ok((options.name, None));
         };
         let callback = self.made(&options.name, || {

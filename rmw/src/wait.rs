@@ -11,7 +11,7 @@ use crate::guard::GuardCondition;
 use crate::handle::{IDENTIFIER, behind, behind_context, take_back};
 use crate::job;
 use crate::service::Service;
-use crate::signal::{Signal, Waiter, deadline_ns};
+use crate::signal::{Signal, Waiter};
 use crate::subscription::Subscription;
 use crate::thread::{self, ThreadPlan};
 use std::ffi::c_void;
@@ -26,8 +26,6 @@ pub(crate) struct WaitSet {
     waits: Arc<SamplerObject>,
     /// Whether callbacks' processor time is measured.
     is_measured: bool,
-    /// Whether the overhead of executors is.
-    measures_overheads: bool,
     /// Whether threads get what the system file states.
     is_governed: bool,
     in_use: AtomicBool,
@@ -283,10 +281,8 @@ pub unsafe extern "C" fn rmw_create_wait_set(
             let waiter = context.waiters.claim(&context.participant);
             let (waiters, waits) = (context.waiters.clone(), context.waits.clone());
             let (is_measured, in_use) = (context.system.measures_execution(), AtomicBool::new(false));
-            let (measures_overheads, is_governed) =
-                (context.system.measures_overheads(), context.system.is_governing());
-            let wait_set =
-                WaitSet { waiters, waiter, waits, is_measured, measures_overheads, is_governed, in_use };
+            let is_governed = context.system.is_governing();
+            let wait_set = WaitSet { waiters, waiter, waits, is_measured, is_governed, in_use };
             handle.write(rmw_wait_set_t {
                 implementation_identifier: IDENTIFIER.as_ptr(),
                 guard_conditions: std::ptr::null_mut(),
@@ -354,19 +350,17 @@ pub unsafe extern "C" fn rmw_wait(
         if wait_set.is_governed {
             thread::govern(wanted.threads())?;
         }
-        let deadline = || timeout.map(|time| deadline_ns(time.sec, time.nsec));
-        // A clock is read only for whom it matters.
-        let is_told = wait_set.is_measured || wait_set.measures_overheads || tautline_trace::is_on();
-        job::wait(&wait_set.waits, is_told.then(deadline).flatten(), wait_set.is_measured);
-        let is_look_only = timeout.is_some_and(|time| (time.sec, time.nsec) == (0, 0));
+        let timeout_ns = timeout.map(|time| time.sec.saturating_mul(1_000_000_000).saturating_add(time.nsec));
+        job::wait(&wait_set.waits, timeout_ns, wait_set.is_measured);
         // Usually something is already ready, and nothing has to be attached.
         let (idle, is_ready) = wanted.find_ready();
-        let waited = if is_ready || is_look_only {
+        let waited = if is_ready || timeout_ns == Some(0) {
             Ok(idle)
         } else {
             let _attached = Attached { wanted: &wanted, waiter: &wait_set.waiter };
             let has_room = wanted.attach_signals(&wait_set.waiter);
-            has_room.map(|()| wanted.wait(wait_set, deadline()))
+            let deadline_ns = timeout_ns.map(|timeout_ns| monotonic_ns().saturating_add(timeout_ns));
+            has_room.map(|()| wanted.wait(wait_set, deadline_ns))
         };
         let is_ready = wanted.report(waited?);
         job::wake(&wait_set.waits, is_ready);

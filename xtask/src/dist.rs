@@ -219,7 +219,7 @@ impl Dist {
     /// Writes a file for `pack.sh` with the licences of what is in these packages.
     fn add_licences(&self, file: &str, manifest: &str, packages: &[&str]) -> Result<(), String> {
         let path = self.out.join("work").join(file);
-        let text = licences::of(manifest, packages)?;
+        let text = licences::of(manifest, packages, &self.architecture.triple())?;
         let written = fs::create_dir_all(self.out.join("work")).and_then(|()| fs::write(&path, text));
         written.map_err(|error| format!("{}: {error}", path.display()))
     }

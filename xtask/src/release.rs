@@ -71,7 +71,7 @@ fn git(arguments: &str) -> Command {
     command
 }
 
-fn said(command: &mut Command) -> Result<String, String> {
+fn stdout_of(command: &mut Command) -> Result<String, String> {
     let output = command.output().map_err(|error| format!("git: {error}"))?;
     if output.status.success() {
         return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
@@ -84,7 +84,7 @@ fn read(path: &str) -> Result<String, String> {
 }
 
 fn clean_tree() -> Result<(), String> {
-    let changes = said(&mut git("status --porcelain"))?;
+    let changes = stdout_of(&mut git("status --porcelain"))?;
     match changes.lines().count() {
         0 => Ok(()),
         count => {
@@ -98,10 +98,10 @@ fn clean_tree() -> Result<(), String> {
 
 /// All manifests have it, and it was not released yet.
 fn one_version(tag: &str) -> Result<(), String> {
-    if !said(&mut git(&format!("tag --list {tag}")))?.is_empty() {
+    if !stdout_of(&mut git(&format!("tag --list {tag}")))?.is_empty() {
         return Err(format!("{tag} is there already: count `version` in Cargo.toml up"));
     }
-    let manifests = said(&mut git("ls-files *Cargo.toml *package.xml"))?;
+    let manifests = stdout_of(&mut git("ls-files *Cargo.toml *package.xml"))?;
     for path in manifests.lines() {
         if let Some(other) = versions(&read(path)?).find(|version| *version != VERSION && *version != "0.0.0")
         {

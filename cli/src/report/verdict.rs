@@ -84,14 +84,18 @@ impl Comparison {
         let host = Host::new(checked, run);
         let rows: Vec<Row> = seen.into_iter().map(|predicted| row(predicted, run, &host)).collect();
         let chains: Vec<_> = checked.chains.iter().filter_map(|of| chain(of, checked, &rows)).collect();
-        let (unknown, idle): (Vec<_>, Vec<_>) = unknown(&here, run).into_iter().partition(|one| {
-            one.callback.response.max_ns().is_some() || one.callback.unfinished_ns.is_some()
-        });
+        let mut unknown = unknown(&here, run);
         let mut notes = notes(file, checked, run, &rows, &host);
-        if !idle.is_empty() {
-            let names: Vec<_> = idle.iter().map(|one| &*one.name).collect();
-            notes.push(format!("not in the file, and not run yet: {}", names.join(", ")));
-        }
+        let mut fold = |why: &str, is_folded: fn(&Unknown) -> bool| {
+            let names: Vec<_> = unknown.extract_if(.., |one| is_folded(one)).map(|one| one.name).collect();
+            if !names.is_empty() {
+                notes.push(format!("not in the file, {why}: {}", names.join(", ")));
+            }
+        };
+        fold("and not run yet", |one| {
+            one.callback.response.max_ns().is_none() && one.callback.unfinished_ns.is_none()
+        });
+        fold("as every node of ROS has it", |one| one.name.ends_with(" /parameter_events"));
         let played: BTreeSet<_> = rows
             .iter()
             .filter(|row| row.measured.is_none())

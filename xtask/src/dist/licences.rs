@@ -11,14 +11,13 @@ use std::path::Path;
 /// Files of a package that are meant for those who pass it on.
 const NAMES: [&str; 5] = ["LICENSE", "LICENCE", "COPYING", "NOTICE", "UNLICENSE"];
 
-/// The texts of everything that these packages of a workspace link, each once, after the packages that have it.
-pub fn of(manifest: &str, packages: &[&str]) -> Result<String, String> {
-    let output = cargo(
-        "metadata --format-version 1 --locked --filter-platform x86_64-unknown-linux-gnu --manifest-path",
-    )
-    .arg(machine::root().join(manifest))
-    .output()
-    .map_err(|error| format!("cargo: {error}"))?;
+/// The texts of everything that these packages of a workspace link on a target, each once, after the packages that have it.
+pub fn of(manifest: &str, packages: &[&str], target: &str) -> Result<String, String> {
+    let output = cargo("metadata --format-version 1 --locked")
+        .args(["--filter-platform", target, "--manifest-path"])
+        .arg(machine::root().join(manifest))
+        .output()
+        .map_err(|error| format!("cargo: {error}"))?;
     if !output.status.success() {
         return Err(String::from_utf8_lossy(&output.stderr).trim().to_owned());
     }
@@ -89,7 +88,7 @@ mod tests {
 
     #[test]
     fn what_is_linked_is_named_with_its_text() {
-        let text = of("Cargo.toml", &["tautline-rt"]).unwrap();
+        let text = of("Cargo.toml", &["tautline-rt"], "aarch64-unknown-linux-gnu").unwrap();
         assert!(text.contains("\nrustix 1.") && text.contains("Permission is hereby granted"), "{text}");
         // It is a tool of tests.
         assert!(!text.contains("\nloom 0."));
