@@ -28,8 +28,8 @@ impl Migration {
         let text = std::fs::read_to_string(path).map_err(|error| format!("it cannot be read: {error}"))?;
         let migration = Self::new(&text, &STEPS)?;
         if migration.text != text {
-            let save = crate::report::save(path, &migration.text);
-            save.map_err(|error| format!("it cannot be written: {error}"))?;
+            let replaced = crate::replace::replace(path, &migration.text);
+            replaced.map_err(|error| format!("it cannot be written: {error}"))?;
         }
         Ok(migration)
     }

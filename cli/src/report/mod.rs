@@ -19,8 +19,6 @@ mod verdict;
 pub mod watch;
 mod wcet;
 
-pub use wcet::edit::save;
-
 use run::Run;
 use verdict::Comparison;
 use watch::ObservedProcesses;

@@ -1,9 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Changes a value of the system file and leaves the rest unchanged.
 
-use std::fs;
-use std::io;
-use std::path::Path;
 use toml_edit::{Decor, DocumentMut, Item, TableLike, Value};
 
 /// The beginning of the comment with a value's source; the comment is replaced together with the value.
@@ -47,17 +44,6 @@ fn comment(decor: &mut Decor, source: &str) {
     let theirs = theirs.trim_end_matches(';').trim_end();
     let separator = if theirs.is_empty() { "" } else { "; " };
     decor.set_suffix(format!(" # {theirs}{separator}{source}"));
-}
-
-/// Replaces the file atomically and keeps its permissions.
-pub fn save(path: &Path, text: &str) -> io::Result<()> {
-    // Follows a symbolic link, so that its target is replaced.
-    let path = fs::canonicalize(path)?;
-    let mut partial = path.as_os_str().to_owned();
-    partial.push(".partial");
-    fs::write(&partial, text)?;
-    fs::set_permissions(&partial, fs::metadata(&path)?.permissions())?;
-    fs::rename(&partial, &path)
 }
 
 #[cfg(test)]

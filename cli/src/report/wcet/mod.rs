@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut report --wcet`: measured execution times, estimates of longer ones from their tail, and writing them into the system file.
 
-pub mod edit;
+mod edit;
 mod sizes;
 mod tail;
 
@@ -172,7 +172,8 @@ impl<'r> Fits<'r> {
         }
         let anew =
             SystemFile::parse(&text).map_err(|source| FileError::Content { path: path.into(), source })?;
-        edit::save(path, &text).map_err(|source| ReportError::Write { path: path.into(), source })?;
+        crate::replace::replace(path, &text)
+            .map_err(|source| ReportError::Write { path: path.into(), source })?;
         let words = |fit: &&Fit<'_>| {
             format!("{}: wcet {} -> {}", fit.name(), quoted(fit.row.predicted.wcet_ns), quoted(fit.wcet_ns))
         };
