@@ -34,9 +34,8 @@ fn five_topics() -> PathBuf {
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/rclcpp");
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("examples_rclcpp");
     let cmake = |command: &mut Command| {
-        let output = command.output().unwrap_or_else(|error| panic!("{command:?}: {error}"));
-        let [out, errors] = [&output.stdout, &output.stderr].map(|text| String::from_utf8_lossy(text));
-        assert!(output.status.success(), "{command:?}: {out}{errors}");
+        let (is_done, out, errors) = words_of(command);
+        assert!(is_done, "{command:?}: {out}{errors}");
     };
     cmake(Command::new("cmake").arg("-S").arg(source).arg("-B").arg(&folder));
     cmake(Command::new("cmake").arg("--build").arg(&folder));
