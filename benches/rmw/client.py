@@ -7,6 +7,7 @@ It measures and says what bench-rmw's own ends do.
 import array
 import json
 import os
+import resource
 import struct
 import sys
 import threading
@@ -33,6 +34,10 @@ WARM_UP = 30
 
 def say(line):
     print(json.dumps(line), flush=True)
+
+
+def page_faults():
+    return resource.getrusage(resource.RUSAGE_THREAD).ru_minflt
 
 
 def end_with_starter():
@@ -78,14 +83,15 @@ class End:
         budget_ns = MILLISECONDS * 10**6
         created = time.monotonic_ns()
         connected = since = None
-        times, number, answers, lost = [], 0, 0, 0
+        times, number, answers, lost, faults = [], 0, 0, 0, 0
         while True:
             start = time.monotonic_ns()
             if since is not None and start - since >= budget_ns:
-                say({"Measured": {"times_ns": times, "lost": lost, "seconds": (start - since) / 1e9}})
+                faults = page_faults() - faults
+                say({"Measured": {"times_ns": times, "lost": lost, "faults": faults, "seconds": (start - since) / 1e9}})
                 return
             if since is None and answers >= WARM_UP and start - connected >= budget_ns / 8:
-                since = start
+                since, faults = start, page_faults()
             number += 1
             end = start + (PATIENCE if connected else CONNECTING) * 1e9
             self.send(number)

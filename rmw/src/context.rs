@@ -5,12 +5,12 @@ use crate::bindings::*;
 use crate::error::{Error, Result, answer};
 use crate::handle::{IDENTIFIER, behind_context, check_identifier, take_back, text};
 use crate::helper::{Helper, Ring};
-use crate::log;
 use crate::notifier::{Notifier, NotifierWaker};
 use crate::on_new::{Listener, ListenersByName};
 use crate::options::{self, rmw_init_options_copy, rmw_init_options_fini};
 use crate::signal::{Signal, Waiter};
 use crate::system::System;
+use crate::{lend, log};
 use futures::StreamExt;
 use std::future::poll_fn;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -18,6 +18,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::task::{Context as TaskContext, Waker};
 use tautline_rt::FutexWord;
 use tautline_rt::fork::ProcessMark;
+use tautline_system::{environment, switch_of_environment};
 use tautline_trace::SamplerObject;
 use tautline_transport::{GraphEvents, Participant, Slot, Wakeable};
 
@@ -230,6 +231,7 @@ pub unsafe extern "C" fn rmw_init(
             return Err(Error::invalid("the context is initialised already"));
         }
         log::start();
+        memory_of_environment()?;
         // ROS's logging would wait for its thread.
         tautline_rt::exempt_children();
         let domain = options::check(options)?;
@@ -243,6 +245,24 @@ pub unsafe extern "C" fn rmw_init(
         context.impl_ = Box::into_raw(Box::new(made)).cast();
         Ok(())
     })
+}
+
+/// By the environment: whether freed memory is used again, without page faults, for which the program's own settings of the C library go
+/// first; and whether serialized messages are samples.
+fn memory_of_environment() -> Result {
+    const OWN: [&str; 5] = [
+        "GLIBC_TUNABLES",
+        "MALLOC_MMAP_MAX_",
+        "MALLOC_MMAP_THRESHOLD_",
+        "MALLOC_TOP_PAD_",
+        "MALLOC_TRIM_THRESHOLD_",
+    ];
+    let is_free = || OWN.iter().all(|variable| environment(variable).is_none());
+    if switch_of_environment("TAUT_KEEP_MEMORY")?.unwrap_or_else(is_free) {
+        tautline_rt::keep_freed_memory();
+    }
+    lend::allow(switch_of_environment("TAUT_LEND")?.unwrap_or(true));
+    Ok(())
 }
 
 /// # Safety

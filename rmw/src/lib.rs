@@ -11,7 +11,7 @@
 //! | `wait` | wait sets; `signal`: what they sleep on; `end`: receiving endpoints, woken by publishers; `guard`: flags that any thread sets |
 //! | `event` | QoS events, received by the `helper`, a thread in place of the sampler; `callback`: callbacks of ROS; `on_new`: those for messages; `notifier`: the thread that calls them for other contexts |
 //! | `graph` | the graph |
-//! | `types` | type supports; `cdr`: their callbacks; `layout`: types with equal layout in memory and CDR; `serialization`: messages as bytes; `qos`: profiles |
+//! | `types` | type supports; `cdr`: their callbacks; `layout`: types with equal layout in memory and CDR; `serialization`: messages as bytes; `lend`: those in shared memory; `qos`: profiles |
 //! | `distro` | what differs between distributions of ROS 2 |
 //! | `handle` | ROS's handles |
 //! | `unsupported` | unsupported functions |
@@ -32,6 +32,7 @@ mod handle;
 mod helper;
 mod job;
 mod layout;
+mod lend;
 mod log;
 mod node;
 mod notifier;

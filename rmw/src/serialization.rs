@@ -4,6 +4,7 @@
 use crate::bindings::*;
 use crate::error::{Error, Result, answer};
 use crate::handle::place;
+use crate::lend::give_back;
 use crate::types::MessageType;
 use std::borrow::Cow;
 use std::ffi::c_void;
@@ -56,8 +57,9 @@ pub(crate) unsafe fn little_body<'m>(
     Ok(Cow::Owned(message.to_body()))
 }
 
-/// Makes room for `len_bytes`, including the header.
+/// Makes room for `len_bytes`, including the header, in memory that may be written to.
 fn resize(message: &mut rmw_serialized_message_t, len_bytes: usize) -> Result {
+    give_back(message);
     if message.buffer_capacity < len_bytes {
         // SAFETY: rmw's contract: initialised.
         if unsafe { rcutils_uint8_array_resize(message, len_bytes) } != RET_OK {

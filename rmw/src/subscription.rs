@@ -7,6 +7,7 @@ use crate::end::ReceivingEndpoint;
 use crate::error::{Error, Result, answer, made};
 use crate::event::{Happened, Sources};
 use crate::handle::{IDENTIFIER, behind, copy_text, free_text, gid_to_ros, place};
+use crate::lend::{LentCount, lend};
 use crate::node::{self, Node};
 use crate::qos::{self, EndpointRole};
 use crate::serialization::write_serialized;
@@ -35,6 +36,8 @@ pub(crate) struct Subscription {
     loans: PiMutex<Vec<RawSample>>,
     /// Whether these are as many as there may be; written with them.
     is_full: AtomicBool,
+    /// Serialized messages that are samples.
+    lent: LentCount,
     end: Arc<ReceivingEndpoint<RawSubscription>>,
 }
 
@@ -290,6 +293,7 @@ pub unsafe extern "C" fn rmw_create_subscription(
             received: AtomicU64::new(0),
             loans: PiMutex::new(Vec::new()),
             is_full: AtomicBool::new(false),
+            lent: LentCount::default(),
             end: ReceivingEndpoint::new(node, raw, node.context().listeners.of(name))?,
         };
         let topic_name = copy_text(name)?;
@@ -450,7 +454,12 @@ unsafe fn take_serialized(
     // SAFETY: the caller's contract.
     let (subscription, message, taken) =
         unsafe { (behind(handle)?, place(message, "the message")?, place(taken, "taken")?) };
-    let found = subscription.take(|sample| write_serialized(sample.body(), message))?;
+    // SAFETY: the caller's contract.
+    let read = |sample| match unsafe { lend(sample, message, &subscription.lent) } {
+        Ok(()) => Ok(()),
+        Err(sample) => write_serialized(sample.body(), message),
+    };
+    let found = subscription.take(read)?;
     *taken = found.is_some();
     Ok(found.map(|((), info)| info))
 }

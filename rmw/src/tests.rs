@@ -362,6 +362,77 @@ fn messages_are_written_and_read_in_place() {
     }
 }
 
+/// A large one is the sample itself until it is freed, resized or taken into again; only so many are; they outlive their subscription.
+#[test]
+fn serialized_messages_are_lent() {
+    const DATA: usize = 64 << 10;
+    const MOST: usize = types::HELD / 2;
+    let world = World::new(75);
+    let of = support("std_msgs", "UInt8MultiArray");
+    let message_of = |value: u8| {
+        let mut bytes = vec![0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+        bytes.extend((DATA as u32).to_le_bytes());
+        bytes.resize(bytes.len() + DATA, value);
+        bytes
+    };
+    // SAFETY: rmw's protocol.
+    unsafe {
+        let (publisher, subscription) =
+            (world.publisher(of, &profile(100)), world.subscription(of, &profile(100)));
+        let allocator = rcutils_get_default_allocator();
+        let empty = || rmw_serialized_message_t { allocator, ..rmw_serialized_message_t::default() };
+        let publish = |value: u8| {
+            let mut bytes = message_of(value);
+            let (buffer, len) = (bytes.as_mut_ptr(), bytes.len());
+            let message =
+                rmw_serialized_message_t { buffer, buffer_length: len, buffer_capacity: len, allocator };
+            let answer = publisher::rmw_publish_serialized_message(publisher, &message, null_mut());
+            assert_eq!(answer, RET_OK);
+        };
+        let take = |message: &mut rmw_serialized_message_t| {
+            let mut taken = false;
+            let answer =
+                subscription::rmw_take_serialized_message(subscription, message, &mut taken, null_mut());
+            assert_eq!((answer, taken), (RET_OK, true));
+        };
+        let bytes = |message: &rmw_serialized_message_t| {
+            std::slice::from_raw_parts(message.buffer, message.buffer_length).to_vec()
+        };
+        let is_lent = |message: &rmw_serialized_message_t| message.buffer.addr() % 64 == 60;
+        (0..=MOST as u8 + 3).for_each(publish);
+
+        let mut messages: Vec<_> = std::iter::repeat_with(empty).take(MOST + 1).collect();
+        messages.iter_mut().for_each(take);
+        for (value, message) in messages.iter().enumerate() {
+            assert_eq!(is_lent(message), value < MOST, "{value}");
+            assert!(bytes(message) == message_of(value as u8), "{value}");
+        }
+        // One that is copied to, with room, and one that had a sample.
+        take(&mut messages[MOST]);
+        assert!(!is_lent(&messages[MOST]) && bytes(&messages[MOST]) == message_of(MOST as u8 + 1));
+        take(&mut messages[0]);
+        assert!(is_lent(&messages[0]) && bytes(&messages[0]) == message_of(MOST as u8 + 2));
+        // More room, and another message: neither is the sample's memory.
+        let more = messages[1].buffer_length + 1;
+        assert_eq!(rcutils_uint8_array_resize(&mut messages[1], more), RET_OK);
+        assert!(!is_lent(&messages[1]) && bytes(&messages[1])[..more - 1] == message_of(1));
+        let text = Point { x: 1.0, y: 2.0, z: 3.0 };
+        let point = support("geometry_msgs", "Point");
+        assert_eq!(serialization::rmw_serialize((&raw const text).cast(), point, &mut messages[2]), RET_OK);
+        assert!(!is_lent(&messages[2]));
+        take(&mut messages[3]);
+        assert!(is_lent(&messages[3]));
+
+        assert_eq!(publisher::rmw_destroy_publisher(world.node, publisher), RET_OK);
+        assert_eq!(subscription::rmw_destroy_subscription(world.node, subscription), RET_OK);
+        assert!(bytes(&messages[4]) == message_of(4));
+        for message in &messages {
+            let rcutils_allocator_t { deallocate, state, .. } = message.allocator;
+            deallocate.unwrap()(message.buffer.cast(), state);
+        }
+    }
+}
+
 /// Invalid messages, also with an invalid bool, are dropped; later ones are taken.
 #[test]
 fn what_is_no_message_is_dropped_and_ends_nobody() {

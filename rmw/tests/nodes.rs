@@ -54,6 +54,36 @@ fn values_of_sensors_and_joints() {
     values(53, TYPES[3]);
 }
 
+/// As large fields of messages are, two at a time, in the first thread, whose memory the C library would give back.
+#[test]
+fn freed_memory_is_used_again_without_page_faults() {
+    const PROGRAM: &str = r#"
+import rclpy, resource
+rclpy.init()
+def act():
+    for size in (1, 8, 24):
+        one, other = b"x" * (size << 20), b"x" * (size << 20)
+        del one, other
+faults = lambda: resource.getrusage(resource.RUSAGE_THREAD).ru_minflt
+for _ in range(3): act()
+before = faults()
+for _ in range(10): act()
+print(faults() - before)
+rclpy.shutdown()
+"#;
+    let Some(domain) = Domain::new(116) else { return };
+    let faults = |variables: &[(&str, &str)]| -> u64 {
+        let output = domain.python(PROGRAM).envs(variables.iter().copied()).output().unwrap();
+        let said = String::from_utf8(output.stdout).unwrap();
+        said.trim().parse().unwrap_or_else(|_| panic!("{said} {}", String::from_utf8_lossy(&output.stderr)))
+    };
+    // Of 16,896 pages, ten times.
+    assert!(faults(&[("TAUT_KEEP_MEMORY", "off")]) > 10_000);
+    assert!(faults(&[("MALLOC_TRIM_THRESHOLD_", "100000")]) > 10_000, "a setting of the user's");
+    let kept = faults(&[]);
+    assert!(kept < 100, "{kept} page faults");
+}
+
 /// The definition that rclpy's process leaves reads what it publishes.
 #[test]
 fn definitions_are_kept_for_tools() {

@@ -243,8 +243,8 @@ impl Limits {
     pub const MAX_DEPTH: usize = 65_536;
     /// Maximum of [`Limits::held`] and [`Limits::loans`].
     pub const MAX_HELD: usize = 4_096;
-    /// Maximum of [`Limits::message_bytes`], and largest message: 4 GiB, the limit of CDR's 32-bit lengths.
-    pub const MAX_MESSAGE_BYTES: usize = 1 << 32;
+    /// Maximum of [`Limits::message_bytes`], and largest message: 4 GiB less 8 bytes, the limit of CDR's 32-bit lengths.
+    pub const MAX_MESSAGE_BYTES: usize = u32::MAX as usize & !7;
 
     pub(crate) fn check(&self, topic: &str) -> Result<(), TransportError> {
         in_range(topic, "held", self.held, Self::MAX_HELD)?;

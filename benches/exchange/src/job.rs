@@ -221,6 +221,9 @@ pub struct Measured {
     /// CPU time of this process while measuring.
     #[serde(default)]
     pub cpu_ns: u64,
+    /// Page faults of the thread of the near endpoint of round trips while measuring.
+    #[serde(default)]
+    pub faults: u64,
     /// Of both endpoints, when the near one had finished.
     #[serde(default)]
     pub memory: Memory,

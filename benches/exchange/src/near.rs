@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use tautline_rt::clock::{monotonic_ns, nanoseconds, process_cpu_ns};
+use tautline_rt::page_faults;
 
 use crate::job::{Exchange, Job, Line, Measured, Memory, Role, say};
 use crate::{Arrivals, Result};
@@ -117,6 +118,8 @@ pub struct RoundTrips {
     measuring_since_ns: Option<u64>,
     /// The CPU time of this process then.
     cpu_ns: u64,
+    /// The page faults of this thread then.
+    faults: u64,
     answers: u64,
 }
 
@@ -142,7 +145,7 @@ impl RoundTrips {
                 let is_warm = warming_ns >= self.budget_ns / u64::from(WARM_UP_SHARE)
                     && (self.answers >= WARM_UP || warming_ns >= self.budget_ns * 2);
                 if is_warm {
-                    self.cpu_ns = process_cpu_ns();
+                    (self.cpu_ns, self.faults) = (process_cpu_ns(), page_faults().minor);
                     self.measuring_since_ns = Some(now);
                 }
             }
@@ -193,9 +196,10 @@ impl RoundTrips {
     pub fn measured(self) -> Measured {
         let seconds = self.measuring_since_ns.map_or(0.0, |since| (monotonic_ns() - since) as f64 / 1e9);
         let cpu_ns = process_cpu_ns() - self.cpu_ns;
+        let faults = page_faults().minor - self.faults;
         let (messages, memory) = (self.times_ns.len() as u64, Memory::of_exchange());
         let RoundTrips { times_ns, lost, late, .. } = self;
-        Measured { times_ns, lost, late, seconds, cpu_ns, messages, memory, ..Measured::default() }
+        Measured { times_ns, lost, late, seconds, cpu_ns, faults, messages, memory, ..Measured::default() }
     }
 }
 

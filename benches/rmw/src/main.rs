@@ -337,22 +337,26 @@ impl Run<'_> {
         let length = Duration::from_millis(length_ms[usize::from(!self.quick())]);
         let pairs = cases.iter().flat_map(|case| self.systems.iter().map(move |system| (system, *case)));
         let pairs = pairs.filter(|(system, case)| !case.is_governed() || system.name == TAUTLINE);
-        let mut found: Vec<_> = pairs.map(|(system, case)| (system, case, Tally::default())).collect();
+        let mut found: Vec<_> = pairs.map(|(system, case)| (system, case, Tally::default(), 0)).collect();
         let bar = progress_bar(u64::from(rounds) * found.len() as u64);
         for round in 1..=rounds {
-            for (system, case, tally) in &mut found {
+            for (system, case, tally, all_faults) in &mut found {
                 bar.set_message(format!("{}, {}, {} B", system.name, case.mode(), case.bytes()));
-                let Measured { times_ns, lost, .. } = case.measure(&self.starter, system, length)?;
+                let Measured { times_ns, lost, faults, .. } = case.measure(&self.starter, system, length)?;
                 let mut times = Distribution::new();
                 times_ns.into_iter().for_each(|time_ns| times.record(time_ns));
                 tally.add(round, &times);
                 tally.lost += lost;
+                *all_faults += faults;
                 bar.inc(1);
             }
         }
         bar.finish_and_clear();
-        let row = |(system, case, tally): &(&System, C, Tally)| {
-            tally.row(case.experiment(is_held), system.name, &case.mode(), case.bytes())
+        let row = |(system, case, tally, faults): &(&System, C, Tally, u64)| {
+            let row = tally.row(case.experiment(is_held), system.name, &case.mode(), case.bytes());
+            let per_message = *faults as f64 / row.n.max(1) as f64 / 2.0;
+            let note = if per_message < 0.01 { row.note } else { format!("{per_message:.1} page faults a message") };
+            Row { note, ..row }
         };
         Ok(found.iter().map(row).collect())
     }

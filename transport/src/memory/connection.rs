@@ -395,7 +395,7 @@ mod tests {
             [control::MAGIC, MAGIC].map(|magic| String::from_utf8(magic.to_le_bytes().into()).unwrap());
         let lengths =
             [size_of::<file::ParticipantHeader>(), size_of::<control::PublisherHead>(), size_of::<Block>()];
-        let expected = (3, ["tautpub1".to_owned(), "tautcon1".to_owned()], [120, 1216, 320]);
+        let expected = (4, ["tautpub1".to_owned(), "tautcon1".to_owned()], [120, 1216, 320]);
         assert_eq!((file::VERSION, magics, lengths), expected);
     }
 

@@ -63,6 +63,11 @@ pub(crate) enum SampleKind {
     NoAnswer,
 }
 
+/// What a body of CDR begins with where it is serialized: little-endian, no options.
+pub(crate) const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
+/// In place of it in a sample that is no message: no CDR has it.
+const NO_ANSWER: [u8; 4] = [0xFF; 4];
+
 /// What a sample begins with. In another process's hands: a claim, but one of which every value is harmless: a wrong number is a
 /// wrong count.
 #[derive(Clone, Copy, Debug, Default)]
@@ -71,14 +76,17 @@ pub(crate) struct SampleHeader {
     /// Counts the samples of the port that sent this one, from 1: what losses are counted from.
     pub(crate) sequence_number: u64,
     pub(crate) released_ns: u64,
-    /// Length of the body and what kind of sample it is: see [`body`](Self::body).
-    pub(crate) length_and_kind: u64,
     /// When it is no longer delivered, on `CLOCK_MONOTONIC`; [`NEVER`] without a lifespan.
     pub(crate) expires_ns: u64,
     pub(crate) source_timestamp_ns: i64,
     /// As published first: those of the port, unless the message came from another host.
     pub(crate) source_sequence_number: u64,
     pub(crate) source_gid: Gid,
+    /// Length of the body.
+    pub(crate) len_bytes: u32,
+    /// Directly before the body, so that both together are the message as it is serialized: [`ENCAPSULATION`]. It tells what kind of
+    /// sample it is.
+    pub(crate) encapsulation: [u8; 4],
 }
 
 pub(crate) const HEADER_BYTES: usize = size_of::<SampleHeader>();
@@ -86,20 +94,21 @@ pub(crate) const HEADER_BYTES: usize = size_of::<SampleHeader>();
 /// What `expires_ns` says of a sample without a lifespan.
 pub(crate) const NEVER: u64 = u64::MAX;
 
-/// The highest bits of `length_and_kind`.
-const KIND_SHIFT: u32 = 56;
-
 impl SampleHeader {
-    /// Says how long the body is, as CDR: a plain type's memory without its trailing padding; and what the sample is.
+    /// Says how long the body is, as CDR: a plain type's memory without its trailing padding; and what the sample is. The length is at most
+    /// [`Limits::MAX_MESSAGE_BYTES`](crate::Limits::MAX_MESSAGE_BYTES).
     pub(crate) fn set_body(&mut self, len_bytes: usize, kind: SampleKind) {
-        self.length_and_kind = len_bytes as u64 | (kind as u64) << KIND_SHIFT;
+        self.len_bytes = u32::try_from(len_bytes).unwrap_or(u32::MAX);
+        self.encapsulation = match kind {
+            SampleKind::Message => ENCAPSULATION,
+            SampleKind::NoAnswer => NO_ANSWER,
+        };
     }
 
     /// How long the body is, a claim, and what the sample is.
     pub(crate) fn body(&self) -> (usize, SampleKind) {
-        let len_bytes = usize::try_from(self.length_and_kind & ((1 << KIND_SHIFT) - 1)).unwrap_or(usize::MAX);
-        let is_message = self.length_and_kind >> KIND_SHIFT == SampleKind::Message as u64;
-        (len_bytes, if is_message { SampleKind::Message } else { SampleKind::NoAnswer })
+        let is_message = self.encapsulation == ENCAPSULATION;
+        (self.len_bytes as usize, if is_message { SampleKind::Message } else { SampleKind::NoAnswer })
     }
 
     /// What identifies the message in a trace; `port` sent it, `address` is its body's.
@@ -123,3 +132,4 @@ impl SampleHeader {
 }
 
 const _: () = assert!(HEADER_BYTES == 64);
+const _: () = assert!(std::mem::offset_of!(SampleHeader, encapsulation) + ENCAPSULATION.len() == HEADER_BYTES);

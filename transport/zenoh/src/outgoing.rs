@@ -380,20 +380,17 @@ fn copied(body: &[u8]) -> ZBytes {
     payload.into()
 }
 
-/// The encapsulation and the body in shared memory: Zenoh copies it into packets before `put` returns, then drops it.
+/// The message in shared memory: Zenoh copies it into packets before `put` returns, then drops it.
 fn in_place(sample: RawSample) -> ZBytes {
-    let mut payload = ZBuf::default();
-    payload.push_zslice(ZSlice::from(ENCAPSULATION));
-    payload.push_zslice(ZSlice::from(Body(sample)));
-    payload.into()
+    ZBuf::from(ZSlice::from(Serialized(sample))).into()
 }
 
 #[derive(Debug)]
-struct Body(RawSample);
+struct Serialized(RawSample);
 
-impl ZSliceBuffer for Body {
+impl ZSliceBuffer for Serialized {
     fn as_slice(&self) -> &[u8] {
-        self.0.body()
+        self.0.serialized().unwrap_or_default()
     }
 
     fn as_any(&self) -> &dyn Any {

@@ -4,7 +4,7 @@
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
 use crate::error::TakeError;
-use crate::memory::header::{Gid, MessageInfo, NEVER, SampleHeader, SampleKind};
+use crate::memory::header::{ENCAPSULATION, Gid, MessageInfo, NEVER, SampleHeader, SampleKind};
 use crate::memory::sizes::padded;
 use crate::qos::History;
 use crate::topic::reader::borrowed::BorrowedSample;
@@ -44,6 +44,22 @@ impl RawSample {
     /// Wait-free; no syscall.
     pub fn body(&self) -> &[u8] {
         self.payload().get(..self.body_bytes).unwrap_or_default()
+    }
+
+    /// The message as it is serialized: the [`body`](Self::body) behind its 4 encapsulation bytes, all in shared memory. `None` if it is
+    /// no [message](Self::is_message).
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub fn serialized(&self) -> Option<&[u8]> {
+        let len_bytes = ENCAPSULATION.len() + self.body().len();
+        // SAFETY: the header lies before the payload, ends with the encapsulation, and is mapped and borrowed with it.
+        let bytes = unsafe {
+            let start = self.payload.cast::<u8>().byte_sub(ENCAPSULATION.len());
+            std::slice::from_raw_parts(start.as_ptr().cast_const(), len_bytes)
+        };
+        // Another process's claim.
+        bytes.starts_with(&ENCAPSULATION).then_some(bytes)
     }
 
     /// The body and what follows it, up to a multiple of 8.
