@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! From shared memory to ROS: one thread takes the samples of all topics and publishes them.
 //!
-//! A body is copied once, from shared memory into rmw's buffer behind the encapsulation.
+//! rmw reads a sample where it is, in shared memory.
 
 use crate::rcl::{RclError, RosPublisher, SerializedMessage};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -49,10 +49,16 @@ impl Egress for Ros {
         if !topic.limiter.admits(monotonic_ns()) {
             return topic.counters.dropped("rate limit");
         }
-        let body = sample.body();
-        let assigned = self.buffer.assign(&ENCAPSULATION, body);
-        match assigned.and_then(|()| writer.publisher.publish_from(sample.port(), &self.buffer)) {
-            Ok(()) => topic.counters.passed(body.len(), sample.info().source_timestamp_ns),
+        let (publisher, port) = (&writer.publisher, sample.port());
+        let published = match sample.serialized() {
+            Some(bytes) => publisher.publish_from(port, bytes),
+            None => {
+                let assigned = self.buffer.assign(&ENCAPSULATION, sample.body());
+                assigned.and_then(|()| publisher.publish_from(port, self.buffer.bytes()))
+            }
+        };
+        match published {
+            Ok(()) => topic.counters.passed(sample.body().len(), sample.info().source_timestamp_ns),
             Err(error) => topic.counters.dropped(error.reason),
         }
     }

@@ -154,8 +154,10 @@ impl OwnTable {
         }
         let len = text.len() as u32 + 1;
         let body = [&len.to_le_bytes()[..], &text, &[0]].concat();
-        let sent =
-            self.buffer.assign(&ENCAPSULATION, &body).and_then(|()| self.publisher.publish(&self.buffer));
+        let sent = self
+            .buffer
+            .assign(&ENCAPSULATION, &body)
+            .and_then(|()| self.publisher.publish(self.buffer.bytes()));
         sent.map_err(|error| {
             self.said = None;
             error.reason

@@ -6,12 +6,10 @@
 //! of 16.
 
 use crate::bindings::*;
-use std::cell::UnsafeCell;
 use std::ffi::c_void;
-use std::mem::MaybeUninit;
 use std::ptr::{fn_addr_eq, null_mut};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use tautline_transport::RawSample;
 
 /// Shorter messages are copied, which takes less time than the sample's way back.
@@ -162,28 +160,23 @@ unsafe extern "C" fn reallocate(address: *mut c_void, bytes: usize, state: *mut 
     copy
 }
 
-/// Values by address, without a lock. In a child that was forked while another thread was in here, that slot stays taken.
+/// Values by address. Nobody waits: a slot is claimed before its value is locked. In a child that was forked while another thread was in
+/// here, that slot stays taken.
 struct Table<T, const N: usize>([Slot<T>; N]);
 
 struct Slot<T> {
     /// [`FREE`], [`CLAIMED`], or the address.
     key: AtomicUsize,
-    value: UnsafeCell<MaybeUninit<T>>,
+    value: Mutex<Option<T>>,
 }
 
 const FREE: usize = 0;
 /// Its value is being written or read out.
 const CLAIMED: usize = 1;
 
-// SAFETY: a value is written and read out only by the thread that has set its slot to CLAIMED, and moves between threads.
-unsafe impl<T: Send, const N: usize> Sync for Table<T, N> {}
-
 impl<T, const N: usize> Table<T, N> {
     const fn new() -> Self {
-        Table(
-            [const { Slot { key: AtomicUsize::new(FREE), value: UnsafeCell::new(MaybeUninit::uninit()) } };
-                N],
-        )
+        Table([const { Slot { key: AtomicUsize::new(FREE), value: Mutex::new(None) } }; N])
     }
 
     fn slots(&self, key: usize) -> impl Iterator<Item = &Slot<T>> {
@@ -198,29 +191,26 @@ impl<T, const N: usize> Table<T, N> {
     /// # Errors
     /// The value, if there is no room.
     fn insert(&self, key: usize, value: T) -> Result<(), T> {
-        for slot in self.slots(key) {
-            if slot.key.compare_exchange(FREE, CLAIMED, Ordering::Acquire, Ordering::Relaxed).is_ok() {
-                // SAFETY: this thread has claimed it.
-                unsafe { (*slot.value.get()).write(value) };
-                slot.key.store(key, Ordering::Release);
-                return Ok(());
-            }
-        }
-        Err(value)
+        let mut value = Some(value);
+        let is_in =
+            self.slots(key).any(|slot| slot.change(FREE, key, |place| *place = value.take()).is_some());
+        value.filter(|_| !is_in).map_or(Ok(()), Err)
     }
 
     /// # Real-time
     /// Wait-free.
     fn remove(&self, key: usize) -> Option<T> {
-        for slot in self.slots(key) {
-            if slot.key.compare_exchange(key, CLAIMED, Ordering::Acquire, Ordering::Relaxed).is_ok() {
-                // SAFETY: this thread has claimed it; it was written before the key.
-                let value = unsafe { (*slot.value.get()).assume_init_read() };
-                slot.key.store(FREE, Ordering::Release);
-                return Some(value);
-            }
-        }
-        None
+        self.slots(key).find_map(|slot| slot.change(key, FREE, Option::take)).flatten()
+    }
+}
+
+impl<T> Slot<T> {
+    /// If its key is `from`: claims it, changes the value, and sets the key `to`.
+    fn change<R>(&self, from: usize, to: usize, change: impl FnOnce(&mut Option<T>) -> R) -> Option<R> {
+        self.key.compare_exchange(from, CLAIMED, Ordering::Acquire, Ordering::Relaxed).ok()?;
+        let changed = change(&mut self.value.lock().unwrap_or_else(PoisonError::into_inner));
+        self.key.store(to, Ordering::Release);
+        Some(changed)
     }
 }
 

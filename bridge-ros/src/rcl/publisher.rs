@@ -5,7 +5,6 @@ use super::context::{Node, text};
 use super::end::RclEntity;
 use super::error::{RclError, check};
 use super::events::Incompatible;
-use super::serialized::SerializedMessage;
 use super::type_support::MessageSupport;
 use crate::qos::to_ros;
 use r2r_rcl::*;
@@ -64,7 +63,7 @@ impl RosPublisher {
 
     /// Publishes a sample that came through a port of the domain with a number, and records this in traces. A publisher uses this
     /// for all messages or for none, one after another.
-    pub fn publish_from(&self, from: (Gid, u64), message: &SerializedMessage) -> Result<(), RclError> {
+    pub fn publish_from(&self, from: (Gid, u64), message: &[u8]) -> Result<(), RclError> {
         let number = self.sent.load(Ordering::Relaxed) + 1;
         self.traced.sample(from, number).record();
         self.publish(message)?;
@@ -73,11 +72,16 @@ impl RosPublisher {
         Ok(())
     }
 
-    /// Publishes.
-    pub fn publish(&self, message: &SerializedMessage) -> Result<(), RclError> {
-        // SAFETY: both are initialised; with a null allocation rmw makes its own.
+    /// Publishes CDR behind its encapsulation.
+    pub fn publish(&self, message: &[u8]) -> Result<(), RclError> {
+        // SAFETY: a constant.
+        let allocator = unsafe { rcutils_get_default_allocator() };
+        let (buffer, len) = (message.as_ptr().cast_mut(), message.len());
+        let message =
+            rcl_serialized_message_t { buffer, buffer_length: len, buffer_capacity: len, allocator };
+        // SAFETY: both are initialised; rcl reads the message; with a null allocation rmw makes its own.
         check("publishing", unsafe {
-            rcl_publish_serialized_message(self.end.raw(), message.raw(), std::ptr::null_mut())
+            rcl_publish_serialized_message(self.end.raw(), &message, std::ptr::null_mut())
         })
     }
 

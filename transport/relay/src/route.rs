@@ -100,6 +100,14 @@ impl OutboundSample {
             OutboundSample::Early(early) => &early.body,
         }
     }
+
+    /// The message with its encapsulation, if it is in shared memory.
+    pub fn serialized(&self) -> Option<&[u8]> {
+        match self {
+            OutboundSample::Now(sample) => sample.serialized(),
+            OutboundSample::Early(_) => None,
+        }
+    }
 }
 
 /// The last forwarded sample of a publisher, to recognize duplicates.

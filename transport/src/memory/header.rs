@@ -132,4 +132,5 @@ impl SampleHeader {
 }
 
 const _: () = assert!(HEADER_BYTES == 64);
-const _: () = assert!(std::mem::offset_of!(SampleHeader, encapsulation) + ENCAPSULATION.len() == HEADER_BYTES);
+const _: () =
+    assert!(std::mem::offset_of!(SampleHeader, encapsulation) + ENCAPSULATION.len() == HEADER_BYTES);
