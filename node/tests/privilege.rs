@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::context;
+use common::{context, isolate};
 use futures::FutureExt;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use rustix::thread::{CapabilitySet, capabilities, set_capabilities};
@@ -23,6 +23,7 @@ fn drop_privileges() {
 
 #[test]
 fn spinning_without_privilege_names_the_fix() {
+    isolate();
     drop_privileges();
     let own = current_policy().unwrap();
     // Memory comes first, then the priority.

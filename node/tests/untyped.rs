@@ -220,6 +220,7 @@ fn a_sample_that_is_no_message_is_an_error_of_its_item() {
 /// A type that neither ROS 2 nor this program has: its definition comes from the schema store.
 #[test]
 fn a_definition_comes_with_the_topic() {
+    common::isolate();
     let name = "demo_msgs/msg/Track".parse().unwrap();
     let definition =
         "uint8 LOST=3\nPoint[<=4] points\nbool seen\n===\nMSG: demo_msgs/Point\nfloat32 x\nint16 y 7\n";
