@@ -71,6 +71,10 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
         using(&mut self.side.lock().0)
     }
 
+    pub(crate) fn jobs(&self) -> &Jobs {
+        &self.jobs
+    }
+
     /// The thread that is to run its callback.
     pub(crate) fn thread(&self) -> Option<&Arc<ThreadPlan>> {
         self.jobs.thread.as_ref()
