@@ -180,6 +180,9 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
             thread::govern_taker(plan);
         }
         if !self.callback.is_set() {
+            if self.jobs.is_early(info.released_ns) {
+                self.with(|port| port.subscription().forget_max_queue());
+            }
             self.jobs.begin(info.released_ns, now_ns);
         }
         let age_ns = now_ns.saturating_sub(info.released_ns);

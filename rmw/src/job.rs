@@ -105,6 +105,11 @@ impl Jobs {
         let _ = self.awaited_ns.compare_exchange(0, now_ns, Ordering::Relaxed, Ordering::Relaxed);
     }
 
+    /// Whether nobody had waited for it when its message was released. That has waited for its program to spin, which no bound contains.
+    pub(crate) fn is_early(&self, released_ns: u64) -> bool {
+        released_ns < self.awaited_ns.load(Ordering::Relaxed)
+    }
+
     /// This thread has now taken a message, released at `released_ns`, and runs the callback.
     ///
     /// # Real-time
@@ -114,8 +119,7 @@ impl Jobs {
         if self.measured.is_none() && self.executor.is_none() && !tautline_trace::is_on() {
             return;
         }
-        // What was there before anyone waited for it has waited for its program to spin, which no bound contains.
-        let released = Some(released_ns).filter(|ns| *ns >= self.awaited_ns.load(Ordering::Relaxed));
+        let released = (!self.is_early(released_ns)).then_some(released_ns);
         if let Some(measured) = &self.measured {
             let lost = self.counters.lost();
             let before = self.noted.fetch_max(lost, Ordering::Relaxed);

@@ -174,42 +174,48 @@ fn unseen_timers(recording: &Recording, runs: &HashMap<(u32, u32), Vec<&Run>>) -
     rounds.into_iter().flat_map(|((process, tid), rounds)| timers_of_thread(process, tid, &rounds)).collect()
 }
 
+/// A timer, by the rounds in which it published.
+struct Timer<'r> {
+    node: &'r str,
+    rounds: Vec<usize>,
+    period_ns: u64,
+    publishes: BTreeSet<String>,
+}
+
 /// Topics of a node that it always publishes in the same rounds are one timer's.
 fn timers_of_thread(process: u32, tid: u32, rounds: &[Round]) -> Vec<Callback> {
-    let mut topics: BTreeMap<(&str, &str), (Vec<usize>, Vec<u64>)> = BTreeMap::new();
+    // The rounds that published on a topic of a node, and when they did first.
+    let mut topics: BTreeMap<(&str, &str), BTreeMap<usize, u64>> = BTreeMap::new();
     for (index, round) in rounds.iter().enumerate().filter(|(_, round)| round.ends_ns != u64::MAX) {
         for (time_ns, topic, node) in &round.published {
-            let (seen, times) = topics.entry((node, topic)).or_default();
-            if seen.last() != Some(&index) {
-                seen.push(index);
-                times.push(*time_ns);
-            }
+            topics.entry((node, topic)).or_default().entry(index).or_insert(*time_ns);
         }
     }
-    let mut timers: BTreeMap<(&str, Vec<usize>), (u64, BTreeSet<String>)> = BTreeMap::new();
-    for ((node, topic), (seen, times)) in topics {
-        if let Some((period_ns, _)) = rate(&times).regular {
-            let timer = timers.entry((node, seen)).or_insert_with(|| (period_ns, BTreeSet::new()));
-            timer.1.insert(topic.to_owned());
+    let mut timers: Vec<Timer<'_>> = Vec::new();
+    for ((node, topic), seen) in topics {
+        let times: Vec<u64> = seen.values().copied().collect();
+        let Some((period_ns, _)) = rate(&times).regular else { continue };
+        let (rounds, publishes) = (seen.into_keys().collect(), BTreeSet::from([topic.to_owned()]));
+        match timers.iter_mut().find(|timer| timer.node == node && timer.rounds == rounds) {
+            Some(timer) => timer.publishes.extend(publishes),
+            None => timers.push(Timer { node, rounds, period_ns, publishes }),
         }
     }
-    let described =
-        |((node, seen), (period_ns, publishes)): ((&str, Vec<usize>), (u64, BTreeSet<String>))| {
-            let lengths =
-                seen.iter().map(|index| rounds[*index].ends_ns.saturating_sub(rounds[*index].woken_ns));
-            let first = publishes.first().map_or("", String::as_str);
-            Callback {
-                key: key(&format!("{node} {first} timer")),
-                node: node.to_owned(),
-                process,
-                tid,
-                trigger: Trigger::Unseen(period_ns),
-                runs: seen.len(),
-                longest_ns: lengths.max().unwrap_or(0),
-                is_exact: false,
-                publishes,
-            }
-        };
+    let described = |timer: Timer<'_>| {
+        let length_ns = |index: &usize| rounds[*index].ends_ns.saturating_sub(rounds[*index].woken_ns);
+        let first = timer.publishes.first().map_or("", String::as_str);
+        Callback {
+            key: key(&format!("{} {first} timer", timer.node)),
+            node: timer.node.to_owned(),
+            process,
+            tid,
+            trigger: Trigger::Unseen(timer.period_ns),
+            runs: timer.rounds.len(),
+            longest_ns: timer.rounds.iter().map(length_ns).max().unwrap_or(0),
+            is_exact: false,
+            publishes: timer.publishes,
+        }
+    };
     timers.into_iter().map(described).collect()
 }
 
