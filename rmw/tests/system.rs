@@ -697,7 +697,11 @@ from std_msgs.msg import String
 rclpy.init()
 node = rclpy.create_node("sleeper")
 publisher, again = [node.create_publisher(String, topic, 10) for topic in ("/tick", "/tock")]
-subscription = node.create_subscription(String, "/tick", lambda message: time.sleep(0.05), 10)
+def hear(message):
+    if not heard: print("runs", flush=True)
+    heard.append(message)
+    time.sleep(0.05)
+heard, subscription = [], node.create_subscription(String, "/tick", hear, 10)
 def tick():
     for to in publisher, again: to.publish(String(data="tick"))
 timer = node.create_timer(0.1, tick)
@@ -708,18 +712,20 @@ def spin():
     except ExternalShutdownException: pass
 thread = threading.Thread(target=spin)
 thread.start()
-print("runs", flush=True)
 sys.stdin.read()
 rclpy.shutdown()
 thread.join()
 "#;
 
-/// `taut init` takes the processor time of callbacks, and knows timers by what they publish.
+/// `taut init` takes the processor time of callbacks, and knows timers by what they publish; what a killed process recorded does not run.
 #[test]
 fn unchanged_nodes_become_a_file_with_their_timers() {
     let Some(domain) = seen(87) else { return };
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("system.toml");
+    let (mut killed, _) = started(domain.python(ASLEEP).env("TAUT_TRACE", "on"));
+    killed.kill().unwrap();
+    killed.wait().unwrap();
     let (process, _) = started(&mut domain.python(ASLEEP));
     let said = taut(&domain, &["init", "--from-running", "--seconds", "2", file.to_str().unwrap()]);
     end(process);

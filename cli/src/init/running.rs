@@ -52,6 +52,13 @@ struct Rate {
     regular: Option<(u64, u64)>,
 }
 
+/// Without what processes recorded that have ended: a killed one's is fetched with the others'.
+pub fn of_those_that_run(mut recording: Recording) -> Recording {
+    recording.processes.retain(|_, process| rt::threads_of(process.pid).is_ok_and(|of| !of.is_empty()));
+    recording.events.retain(|timed| recording.processes.contains_key(&timed.process));
+    recording
+}
+
 pub fn describe(recording: &Recording) -> Described {
     let threads = threads(recording);
     let callbacks = callbacks(recording, &threads);
