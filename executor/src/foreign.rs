@@ -193,13 +193,13 @@ impl ForeignCallback {
     /// if another thread ran the previous job, one in a thread's first job, one more in each of these cases where the execution
     /// time is measured, at most two where it is held to its budget, and three where core time is accounted for, five in a thread's first job.
     pub fn begin(&self, release_ns: Option<u64>, queue: QueueState) {
+        self.with_account(CoreTimeAccount::begin);
         let stats = self.stats.lock();
         note_thread(&stats);
         if let Some(release_ns) = release_ns {
             stats.note_queue(queue);
             stats.release_after(UNEVEN, release_ns);
         }
-        self.with_account(CoreTimeAccount::begin);
         if self.measures_execution {
             METER.with(Meter::begin);
         }
@@ -210,7 +210,7 @@ impl ForeignCallback {
         }
     }
 
-    /// Ends the job. If its execution time is measured, the job is charged this thread's processor time since the end of the previous
+    /// Ends the job, which began with this release. If its execution time is measured, the job is charged this thread's processor time since the end of the previous
     /// job, or since [`idle`]; this time is returned. It is never too low, and at most 5 µs too high if the thread lost the core soon after
     /// a job before; exact where budgets are held or [`used_ns`] was called.
     ///
