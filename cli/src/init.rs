@@ -91,7 +91,7 @@ fn observe(args: &InitArgs) -> Result<trace::recording::Recording, trace::TraceE
     let recorded = record::record(&file, domain, &mut end, args.common.json, &begun);
     let recording = recorded.and_then(|_| trace::file::read(&file));
     let _ = std::fs::remove_dir_all(&folder);
-    recording
+    recording.map(running::of_those_that_run)
 }
 
 fn exists(path: &Path) -> Failure {

@@ -51,6 +51,15 @@ fn the_table_and_the_exit_code_are_the_verdict() {
 }
 
 #[test]
+fn files_for_programs_of_rclcpp_are_schedulable() {
+    let folder = systems().join("../rclcpp");
+    for file in ["five.toml", "one.toml", "reference.toml", "reference_five.toml"] {
+        let out = taut(&["check", file], &folder);
+        assert_eq!(out.status.code(), Some(0), "{file}: {}{}", text(&out.stdout), text(&out.stderr));
+    }
+}
+
+#[test]
 fn json_is_the_contract() {
     let out = taut(&["check", "two-hosts.toml", "--json"], &systems());
     assert_eq!(out.status.code(), Some(0));

@@ -31,6 +31,8 @@ fn what_runs_becomes_a_file() {
     });
     here.serve(&mut planner, async move {
         while taken.next().await.is_some() {
+            // Uses no processor time.
+            std::thread::sleep(Duration::from_millis(10));
             paths.publish(&UInt64 { data: 1 }).unwrap();
         }
     });
@@ -62,7 +64,7 @@ fn what_runs_becomes_a_file() {
         "topic = \"/scan\"",
         "publishes = [\"/scan\"]",
         "publishes = [\"/path\"]",
-        "# guess: the longest of ",
+        "# guess: the longest processor time of ",
         "[topics.\"/joystick\"]",
     ] {
         assert!(text.contains(part), "no {part} in:\n{text}");
@@ -76,6 +78,7 @@ fn what_runs_becomes_a_file() {
         callbacks.iter().map(|callback| callback["period_ms"].as_f64().unwrap()).collect();
     assert_eq!(periods.iter().filter(|period| **period == 20.0).count(), 2, "{checked}");
     assert!(periods.iter().any(|period| (9.0..11.0).contains(period)), "{checked}");
+    assert!(callbacks.iter().all(|callback| callback["wcet_ms"].as_f64().unwrap() < 10.0), "{checked}");
 
     let (code, _, words) = here.refused(&["init", "--from-running", path]);
     assert!(code == 1 && words.contains("exists and is left as it is"), "{words}");

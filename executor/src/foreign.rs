@@ -1,16 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Callbacks that other executors run, such as rclcpp's. Their jobs are measured like this crate's jobs.
 
-use std::cell::{Cell, RefCell};
+use std::cell::{Cell, OnceCell, RefCell};
 use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
-use tautline_rt::clock::{monotonic_ns, thread_cpu_ns};
+use tautline_rt::clock::{monotonic_ns, nanoseconds, thread_cpu_ns};
 use tautline_rt::{
-    BudgetTimer, OwnPriority, PiMutex, RtError, ThreadInfo, current_affinity, current_policy, current_tid,
+    BudgetTimer, CoreTime, OwnPriority, PiMutex, RtError, ThreadInfo, current_affinity, current_policy,
+    current_tid,
 };
 
+use crate::account::CoreTimeAccount;
 use crate::hot::BudgetEnforcer;
 use crate::job::QueueState;
 use crate::stats::{Job, kind};
@@ -20,11 +22,17 @@ thread_local! {
     static TID: u32 = current_tid();
     static METER: Meter = const { Meter { read: Cell::new(None), lap_ns: Cell::new(0), is_exact: Cell::new(false) } };
     static ENFORCER: RefCell<Option<BudgetEnforcer>> = const { RefCell::new(None) };
+    /// Made by the first job of a callback that accounts for core time; `None` if the kernel refused.
+    static ACCOUNT: OnceCell<Option<CoreTimeAccount>> = const { OnceCell::new() };
 }
 
 /// For so long after a reading of a thread's processor time, jobs are measured by `CLOCK_MONOTONIC`, which needs no system call: what
 /// wakes a thread for each job takes longer, so that only jobs in a row are measured so.
 const WINDOW: Duration = Duration::from_micros(5);
+
+/// The first release's distance to the second one does not count: a timer that was due before its executor began to spin is late then, and
+/// with it all that it triggers.
+const UNEVEN: u64 = 2;
 
 /// What a thread uses for its jobs. A job is measured never too low, and too high by at most [`WINDOW`], if its thread lost the core.
 struct Meter {
@@ -103,8 +111,8 @@ pub fn hold_to_budgets(policy: Policy, holds: bool) -> Result<(), RtError> {
 /// let file = StatisticsFile::create(&prefix, &ProcessInfo::default())?;
 /// let callback = ForeignCallback::new(&file, &CallbackOptions::other().name("detect"))?;
 /// foreign::idle(); // before the thread waits
-/// callback.begin(0, QueueState::default()); // the release, in ns of CLOCK_MONOTONIC
-/// callback.end(0);
+/// callback.begin(Some(0), QueueState::default()); // the release, in ns of CLOCK_MONOTONIC
+/// callback.end(Some(0));
 /// let process = &ForeignStatistics::list(&prefix)?[0];
 /// assert_eq!(process.read()?.unwrap().callbacks[0].completions, 1);
 /// # Ok::<(), std::io::Error>(())
@@ -116,6 +124,8 @@ pub struct ForeignCallback {
     measures_execution: bool,
     /// Whether its jobs are held to their budgets.
     holds: bool,
+    /// The shortest time taken from a job that is recorded, if core time is accounted for.
+    accounts_ns: Option<u64>,
 }
 
 impl ForeignCallback {
@@ -155,46 +165,81 @@ impl ForeignCallback {
             stats.set_thread(&ThreadInfo { tid: 0, name: String::new(), policy: options.policy, cores });
         }
         let holds = options.execution_time && options.overrun_policy == OverrunPolicy::Demote;
-        Ok(ForeignCallback { stats: PiMutex::new(stats), measures_execution: options.execution_time, holds })
+        let (stats, measures_execution) = (PiMutex::new(stats), options.execution_time);
+        Ok(ForeignCallback { stats, measures_execution, holds, accounts_ns: None })
+    }
+
+    /// Does for its jobs what [`Executor::account_core_time`](crate::Executor::account_core_time) does, in any thread.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// The kernel does not provide the data.
+    pub fn account_core_time(mut self, least: Option<Duration>) -> io::Result<ForeignCallback> {
+        if least.is_some() {
+            CoreTime::new().map_err(io::Error::other)?;
+            self.stats.lock().describe_account();
+        }
+        self.accounts_ns = least.map(nanoseconds);
+        Ok(self)
     }
 
     /// Starts a job of the callback in this thread, released at the `CLOCK_MONOTONIC` time `release_ns`, and records the state of its queue.
+    /// Without that time the job is not counted, only held to its budget, and its processor time is no other job's.
     ///
     /// # Real-time
     /// Waits for a thread that starts or ends a job of it at the same time, with priority inheritance; no allocation; four syscalls
     /// if another thread ran the previous job, one in a thread's first job, one more in each of these cases where the execution
-    /// time is measured, and at most two where it is held to its budget.
-    pub fn begin(&self, release_ns: u64, queue: QueueState) {
+    /// time is measured, at most two where it is held to its budget, and three where core time is accounted for, five in a thread's first job.
+    pub fn begin(&self, release_ns: Option<u64>, queue: QueueState) {
+        self.with_account(CoreTimeAccount::begin);
         let stats = self.stats.lock();
         note_thread(&stats);
-        stats.note_queue(queue);
-        stats.release(release_ns);
+        if let Some(release_ns) = release_ns {
+            stats.note_queue(queue);
+            stats.release_after(UNEVEN, release_ns);
+        }
         if self.measures_execution {
             METER.with(Meter::begin);
         }
         if self.holds {
             let since_ns = METER.with(Meter::since_ns).unwrap_or_else(thread_cpu_ns);
+            let release_ns = release_ns.unwrap_or(u64::MAX);
             with_enforcer(|enforcer| enforcer.begin(release_ns, since_ns, stats.budget()));
         }
     }
 
-    /// Ends the job. If its execution time is measured, the job is charged this thread's processor time since the end of the previous
+    /// Ends the job, which began with this release. If its execution time is measured, the job is charged this thread's processor time since the end of the previous
     /// job, or since [`idle`]; this time is returned. It is never too low, and at most 5 µs too high if the thread lost the core soon after
     /// a job before; exact where budgets are held or [`used_ns`] was called.
     ///
     /// # Real-time
     /// As [`begin`](Self::begin), with at most one syscall where the execution time is measured.
-    pub fn end(&self, release_ns: u64) -> Option<u64> {
+    pub fn end(&self, release_ns: Option<u64>) -> Option<u64> {
         let now_ns = monotonic_ns();
-        let response_ns = now_ns.saturating_sub(release_ns);
         let is_demoted = self.holds && with_enforcer(BudgetEnforcer::end) == Some(true);
         let execution_ns = self.measures_execution.then(|| METER.with(|meter| meter.lap(now_ns)));
         let stats = self.stats.lock();
-        if is_demoted {
-            stats.demoted();
+        let job = release_ns.map(|release_ns| (release_ns, now_ns.saturating_sub(release_ns)));
+        let late = job.filter(|(_, response_ns)| stats.is_late(*response_ns));
+        self.with_account(|account| {
+            account.end(&stats, false, late.map(|(release_ns, _)| (release_ns, now_ns)))
+        });
+        if let Some((release_ns, response_ns)) = job {
+            if is_demoted {
+                stats.demoted();
+            }
+            stats.complete(&Job { release_ns, response_ns, execution_ns, input_size: None });
         }
-        stats.complete(&Job { release_ns, response_ns, execution_ns, input_size: None });
         execution_ns
+    }
+
+    fn with_account(&self, using: impl FnOnce(&CoreTimeAccount)) {
+        let Some(least_ns) = self.accounts_ns else { return };
+        let make = || CoreTime::new().ok().map(|clock| CoreTimeAccount::new(clock, least_ns));
+        // A thread in shutdown has no thread-locals.
+        let _ = ACCOUNT.try_with(|account| account.get_or_init(make).as_ref().map(using));
     }
 
     /// It published in this thread, at the `CLOCK_MONOTONIC` time `now_ns`.
@@ -204,7 +249,7 @@ impl ForeignCallback {
     pub fn publish(&self, now_ns: u64) {
         let stats = self.stats.lock();
         note_thread(&stats);
-        stats.publish(now_ns);
+        stats.publish(UNEVEN, now_ns);
     }
 }
 
@@ -309,5 +354,27 @@ mod tests {
             assert!((least_ns..=most_ns).contains(&measured_ns), "{least_ns} {measured_ns} {most_ns}");
             since_ns = done_ns;
         }
+    }
+
+    /// What came before anyone waited is no job, and the first job may have come late.
+    #[test]
+    fn the_start_of_an_executor_does_not_count() {
+        let prefix = format!("taut_test_uneven_{}_", std::process::id());
+        let file = StatisticsFile::create(&prefix, &crate::ProcessInfo::of_this()).unwrap();
+        let options = CallbackOptions::other().name("detect");
+        let callback = ForeignCallback::new(&file, &options).unwrap();
+        let timer = ForeignCallback::by_publications(&file, &options.name("tick")).unwrap();
+        let lost = QueueState { lost: 1, ..QueueState::default() };
+        for release_ns in [None, Some(1_000), Some(1_010), Some(1_110), Some(1_200)] {
+            callback.begin(release_ns, lost);
+            callback.end(release_ns);
+            release_ns.iter().for_each(|now_ns| timer.publish(*now_ns));
+        }
+        let seen = &crate::ForeignStatistics::list(&prefix).unwrap()[0].read().unwrap().unwrap().callbacks;
+        for of in seen {
+            assert_eq!((of.releases, of.completions, of.first_release_ns), (4, 4, 1_000), "{of:?}");
+            assert_eq!((of.least_distance_ns, of.greatest_distance_ns), (Some(90), Some(100)), "{of:?}");
+        }
+        assert_eq!((seen[0].lost, seen[1].lost), (4, 0));
     }
 }

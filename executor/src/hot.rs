@@ -457,11 +457,15 @@ impl Job {
     /// at most a futex wake at the start. If core time is accounted
     /// for: three more. In addition, the cost of the handlers of [`CallbackOptions`](crate::CallbackOptions), if one is called.
     pub fn finish(self) {
-        tautline_trace::callback_end(self.callback);
-        if let Some(begun) = self.begun {
+        let ended = |thread: &CallbackThread| {
+            let (begun, to) = (self.begun?, thread.measured.as_ref()?);
+            Some(to.end(begun, thread.input_size.take(), &to.stats))
+        };
+        let job = current(ended).flatten();
+        tautline_trace::callback_end(self.callback, job.as_ref().and_then(|job| job.execution_ns));
+        if let Some(job) = job {
             current(|thread| {
                 if let Some(to) = &thread.measured {
-                    let job = to.end(begun, thread.input_size.take(), &to.stats);
                     to.pass_over(to.watch.call_handlers(to.stats.complete(&job), &job));
                 }
             });
@@ -616,9 +620,9 @@ where
         // Dropped before the clock is read: an item's end is part of its job.
         self.future.set(None);
         if let Some(begun) = self.begun.take() {
-            tautline_trace::callback_end(self.traced);
             let input_size = current(|thread| thread.input_size.take()).flatten();
             let job = total.end(begun, input_size, &self.stats);
+            tautline_trace::callback_end(self.traced, job.execution_ns);
             let of_member = self.watch.call_handlers(self.stats.complete(&job), &job);
             // Sizes of different members are of different things.
             let of_all = stats::Job { input_size: None, ..job };

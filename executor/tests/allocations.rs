@@ -237,9 +237,9 @@ fn jobs_of_other_executors_are_counted_without_allocation() {
             for _ in 0..count {
                 foreign::idle();
                 let release_ns = tautline_rt::clock::monotonic_ns();
-                callback.begin(release_ns, job::QueueState { lost: 1, max_queue: 2, depth: 3 });
+                callback.begin(Some(release_ns), job::QueueState { lost: 1, max_queue: 2, depth: 3 });
                 let before_ns = foreign::used_ns().unwrap();
-                assert!(callback.end(release_ns).unwrap() >= before_ns);
+                assert!(callback.end(Some(release_ns)).unwrap() >= before_ns);
                 executors.iter().for_each(|executor| executor.record(2, 3));
                 timer.publish(release_ns);
             }

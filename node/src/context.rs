@@ -20,7 +20,7 @@ use tautline_rt::{IdleHold, MemoryLock, ThreadBuilder};
 use tautline_sampler::{Events, Sampler, Sleep, Wait};
 use tautline_system::{
     Admission, Gate, LoadedSystem, SystemError, admission_of_environment, admit_callbacks, admit_system,
-    environment, realtime_of_environment, switch_of_environment,
+    core_time_of_environment, environment, realtime_of_environment, switch_of_environment,
 };
 use tautline_trace::TraceSettings;
 use tautline_transport::Participant;
@@ -108,7 +108,7 @@ impl ContextBuilder {
     pub const SAMPLER_PRIORITY: u8 = 90;
 
     /// The shortest time taken from one job that is recorded, if the environment enables it (`TAUT_CORE_TIME=on`).
-    pub const CORE_TIME_PIECE: Duration = Duration::from_micros(100);
+    pub const CORE_TIME_PIECE: Duration = tautline_system::CORE_TIME_PIECE;
 
     /// The domain, 0 to 232. Otherwise `TAUT_DOMAIN`, else `ROS_DOMAIN_ID`, else 0.
     pub fn domain(mut self, domain: u32) -> Self {
@@ -272,9 +272,7 @@ impl ContextBuilder {
         let sampler = Sampler::new(&participant)?.with_wait(self.wait);
         let core_time = match self.core_time {
             Some(core_time) => core_time,
-            None => {
-                switch_of_environment("TAUT_CORE_TIME")?.unwrap_or(false).then_some(Self::CORE_TIME_PIECE)
-            }
+            None => core_time_of_environment()?,
         };
         if self.hold_idle.is_none() {
             self.hold_idle = switch_of_environment("TAUT_HOLD_IDLE")?;

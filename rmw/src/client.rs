@@ -158,6 +158,7 @@ pub unsafe extern "C" fn rmw_create_client(
         let wanted = profile_of(profile)?;
         // SAFETY: rmw's contract.
         let (limits, depth) = unsafe { (of.request.limits(), Depth::of(profile, &wanted)) };
+        let _node = tautline_trace::in_node(node.traced.id());
         let raw = node.participant.create_queued_client(name, &of.service_type, depth.room, limits)?;
         let gid = raw.gid();
         let context = node.context();

@@ -71,6 +71,10 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
         using(&mut self.side.lock().0)
     }
 
+    pub(crate) fn jobs(&self) -> &Jobs {
+        &self.jobs
+    }
+
     /// The thread that is to run its callback.
     pub(crate) fn thread(&self) -> Option<&Arc<ThreadPlan>> {
         self.jobs.thread.as_ref()
@@ -176,6 +180,9 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
             thread::govern_taker(plan);
         }
         if !self.callback.is_set() {
+            if self.jobs.is_early(info.released_ns) {
+                self.with(|port| port.subscription().forget_max_queue());
+            }
             self.jobs.begin(info.released_ns, now_ns);
         }
         let age_ns = now_ns.saturating_sub(info.released_ns);

@@ -21,19 +21,23 @@ pub(crate) struct Jobs {
     executor: Option<Arc<ForeignExecutor>>,
     counters: Arc<SubscriptionCounters>,
     depth: u64,
+    /// Whether the processor time of this process's callbacks is measured, also if nobody traces.
+    is_measured: bool,
     /// Lost messages reported so far.
     noted: AtomicU64,
     /// The callback's rank, if its thread is to run the highest first.
     pub(crate) rank: Option<u8>,
     /// The thread that the system file gives it.
     pub(crate) thread: Option<Arc<ThreadPlan>>,
+    /// When a thread first waited for it, where callbacks are measured; 0 before.
+    awaited_ns: AtomicU64,
 }
 
 /// This thread's job.
 struct Job {
     jobs: Arc<Jobs>,
-    /// When its message was released.
-    released_ns: u64,
+    /// When its message was released; `None` if nobody waited for it then.
+    released_ns: Option<u64>,
     /// What the thread used for it until then: while it waited in vain, and since.
     before_ns: Option<(u64, u64)>,
 }
@@ -82,20 +86,40 @@ impl Jobs {
             executor,
             counters,
             depth: subscription.qos().depth as u64,
+            is_measured: system.measures_execution(),
             noted,
             rank,
             thread,
+            awaited_ns: AtomicU64::new(0),
         }))
+    }
+
+    /// Whether no thread has waited for it.
+    pub(crate) fn is_new(&self) -> bool {
+        self.awaited_ns.load(Ordering::Relaxed) == 0
+    }
+
+    /// A thread waits for it, since `now_ns`.
+    pub(crate) fn wait_for(&self, now_ns: u64) {
+        // Whoever came first.
+        let _ = self.awaited_ns.compare_exchange(0, now_ns, Ordering::Relaxed, Ordering::Relaxed);
+    }
+
+    /// Whether nobody had waited for it when its message was released. That has waited for its program to spin, which no bound contains.
+    pub(crate) fn is_early(&self, released_ns: u64) -> bool {
+        released_ns < self.awaited_ns.load(Ordering::Relaxed)
     }
 
     /// This thread has now taken a message, released at `released_ns`, and runs the callback.
     ///
     /// # Real-time
-    /// A load if nobody traces or measures; else as [`ForeignCallback::begin`], with one syscall more where overheads are measured.
+    /// A load if nobody traces or measures; else as [`ForeignCallback::begin`], with one syscall more where overheads are measured or callbacks
+    /// only traced.
     pub(crate) fn begin(self: &Arc<Self>, released_ns: u64, now_ns: u64) {
         if self.measured.is_none() && self.executor.is_none() && !tautline_trace::is_on() {
             return;
         }
+        let released = (!self.is_early(released_ns)).then_some(released_ns);
         if let Some(measured) = &self.measured {
             let lost = self.counters.lost();
             let before = self.noted.fetch_max(lost, Ordering::Relaxed);
@@ -104,12 +128,15 @@ impl Jobs {
             if BEFORE.try_with(|before| before.get().is_over(now_ns)).unwrap_or(false) {
                 foreign::idle();
             }
-            measured.begin(released_ns, QueueState { lost, max_queue, depth: self.depth });
+            measured.begin(released, QueueState { lost, max_queue, depth: self.depth });
+        }
+        if !self.is_measured && tautline_trace::is_on() {
+            foreign::idle();
         }
         tautline_trace::callback_start(self.traced.id(), released_ns);
         // A thread in shutdown has no thread-locals.
         let before_ns = self.executor.as_ref().and_then(|_| Before::take(now_ns));
-        let job = Job { jobs: self.clone(), released_ns, before_ns };
+        let job = Job { jobs: self.clone(), released_ns: released, before_ns };
         let _ = RUNNING.try_with(|running| running.replace(Some(job)));
     }
 }
@@ -128,17 +155,18 @@ impl Jobs {
 /// The thread takes or waits, which ends its job. Returns whether there was one.
 ///
 /// # Real-time
-/// A load if nothing runs; else as [`ForeignCallback::end`].
+/// A load if nothing runs; else as [`ForeignCallback::end`], with one syscall where callbacks are only traced.
 pub(crate) fn end() -> bool {
     let running = RUNNING.try_with(|running| running.borrow_mut().take()).ok().flatten();
     let Some(Job { jobs, released_ns, before_ns }) = running else { return false };
-    tautline_trace::callback_end(jobs.traced.id());
     let used_ns = jobs.measured.as_ref().and_then(|measured| measured.end(released_ns));
-    if let Some(executor) = &jobs.executor {
-        let used_ns = used_ns.unwrap_or_else(foreign::idle);
-        if let Some((in_vain_ns, before_ns)) = before_ns {
-            executor.record(in_vain_ns.saturating_add(before_ns), used_ns.saturating_sub(before_ns));
-        }
+    let is_wanted = jobs.executor.is_some() || tautline_trace::is_on();
+    let used_ns = used_ns.or_else(|| is_wanted.then(foreign::idle));
+    tautline_trace::callback_end(jobs.traced.id(), used_ns);
+    if let (Some(executor), Some(used_ns), Some((in_vain_ns, before_ns))) =
+        (&jobs.executor, used_ns, before_ns)
+    {
+        executor.record(in_vain_ns.saturating_add(before_ns), used_ns.saturating_sub(before_ns));
     }
     true
 }

@@ -20,6 +20,8 @@ pub(crate) struct Node {
     pub(crate) full_name: String,
     /// Creates the node's entities.
     pub(crate) participant: Participant,
+    /// As the owner of endpoints in traces.
+    pub(crate) traced: tautline_trace::Object,
     _handle: NodeHandle,
     graph_guard: *mut rmw_guard_condition_t,
     /// Endpoints that ROS has not destroyed.
@@ -170,7 +172,9 @@ pub unsafe extern "C" fn rmw_create_node(
         let full_name = format!("{}/{name}", namespace.trim_end_matches('/'));
         behind.system.warn_of_unseen(&full_name);
         let endpoints = Mutex::default();
-        let node = Node { context: behind, full_name, participant, _handle: handle, graph_guard, endpoints };
+        let traced = tautline_trace::node_init(behind.participant.trace_id(), name, namespace);
+        let node =
+            Node { context: behind, full_name, participant, traced, _handle: handle, graph_guard, endpoints };
         // SAFETY: rmw's own memory, written before anyone can see it.
         unsafe {
             let handle = rmw_node_allocate();

@@ -249,6 +249,7 @@ pub unsafe extern "C" fn rmw_create_publisher(
         };
         let wanted = asked.qos(EndpointRole::Publisher)?;
         let EndpointArgs { node, message_type, name, profile } = asked;
+        let _node = tautline_trace::in_node(node.traced.id());
         let raw = node.participant.create_raw_publisher(
             name,
             &message_type.topic_type,

@@ -162,6 +162,7 @@ pub unsafe extern "C" fn rmw_create_service(
         let wanted = profile_of(profile)?;
         // SAFETY: rmw's contract.
         let depth = unsafe { Depth::of(profile, &wanted) };
+        let _node = tautline_trace::in_node(node.traced.id());
         let raw =
             node.participant.create_raw_server(name, &of.service_type, depth.room, of.response.limits())?;
         let listeners = &node.context().listeners;

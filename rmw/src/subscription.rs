@@ -274,6 +274,7 @@ pub unsafe extern "C" fn rmw_create_subscription(
         let mut wanted = asked.qos(EndpointRole::Subscription)?;
         let EndpointArgs { node, message_type, name, profile } = asked;
         node.context().system.set_depth(&node.full_name, name, &mut wanted);
+        let _node = tautline_trace::in_node(node.traced.id());
         let raw = node.participant.create_raw_subscription(
             name,
             &message_type.topic_type,

@@ -6,6 +6,7 @@ use crate::thread::{self, ThreadPlan};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::time::Duration;
 use tautline_analysis::file::{CheckedCallback, Client};
 use tautline_executor::{
     Admitted, CallbackOptions, ForeignCallback, ForeignExecutor, ProcessInfo, Realtime, StatisticsFile,
@@ -13,7 +14,7 @@ use tautline_executor::{
 use tautline_rt::clock::monotonic_ns;
 use tautline_system::{
     Admission, Gate, LoadedSystem, admission_of_environment, admit_callbacks, admit_system,
-    realtime_of_environment,
+    core_time_of_environment, realtime_of_environment,
 };
 use tautline_transport::{History, Qos, Reliability};
 
@@ -45,6 +46,8 @@ pub(crate) struct System {
     /// `None`: it could not be created, and there is no file.
     statistics: Option<StatisticsFile>,
     overheads: Option<Overheads>,
+    /// The shortest time taken from a job's core that is recorded, if any is.
+    core_time: Option<Duration>,
     /// By name.
     made: Mutex<BTreeMap<String, Weak<ForeignCallback>>>,
 }
@@ -128,7 +131,8 @@ impl System {
             }
         };
         let (made, overheads) = (Mutex::default(), Overheads::of_environment()?);
-        Ok(System { domain, file, callbacks, threads, admission, statistics, overheads, made })
+        let core_time = core_time_of_environment()?;
+        Ok(System { domain, file, callbacks, threads, admission, statistics, overheads, core_time, made })
     }
 
     /// A system file; `None` if it has no ROS callbacks of this host.
@@ -379,7 +383,9 @@ impl System {
         };
         let callback = self.made(&options.name, || {
             let _gate = plan.map(|plan| self.admit(plan, &options.name)).transpose()?;
-            ForeignCallback::new(statistics, &options).map_err(|error| unshared(&options.name, &error))
+            ForeignCallback::new(statistics, &options)
+                .and_then(|callback| callback.account_core_time(self.core_time))
+                .map_err(|error| unshared(&options.name, &error))
         });
         match callback {
             Err(error) if !is_named => {

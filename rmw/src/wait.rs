@@ -9,11 +9,11 @@ use crate::error::{Error, Result, answer, made};
 use crate::event;
 use crate::guard::GuardCondition;
 use crate::handle::{IDENTIFIER, behind, behind_context, take_back};
-use crate::job;
+use crate::job::{self, Jobs};
 use crate::service::Service;
 use crate::signal::{Signal, Waiter};
 use crate::subscription::Subscription;
-use crate::thread::{self, ThreadPlan};
+use crate::thread;
 use std::ffi::c_void;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -26,8 +26,6 @@ pub(crate) struct WaitSet {
     waits: Arc<SamplerObject>,
     /// Whether callbacks' processor time is measured.
     is_measured: bool,
-    /// Whether threads get what the system file states.
-    is_governed: bool,
     in_use: AtomicBool,
 }
 
@@ -209,11 +207,25 @@ impl WaitEntities<'_> {
         }
     }
 
-    /// The threads that are to run the callbacks.
-    fn threads(&self) -> impl Iterator<Item = &Arc<ThreadPlan>> {
-        let subscriptions = self.subscriptions().filter_map(|one| one.end().thread());
-        let services = self.services().filter_map(|one| one.end().thread());
-        subscriptions.chain(services).chain(self.clients().filter_map(|one| one.end().thread()))
+    fn jobs(&self) -> impl Iterator<Item = &Jobs> {
+        let subscriptions = self.subscriptions().map(|one| one.end().jobs());
+        let services = self.services().map(|one| one.end().jobs());
+        subscriptions.chain(services).chain(self.clients().map(|one| one.end().jobs()))
+    }
+
+    /// Makes this thread the one that is to run the callbacks. Where they are new it waits for them from then on.
+    ///
+    /// # Real-time
+    /// As [`thread::govern`].
+    fn govern(&self) -> Result {
+        let mut has_new = false;
+        let jobs = self.jobs().inspect(|jobs| has_new |= jobs.is_new());
+        thread::govern(jobs.filter_map(|jobs| jobs.thread.as_ref()))?;
+        if has_new {
+            let now_ns = monotonic_ns();
+            self.jobs().for_each(|jobs| jobs.wait_for(now_ns));
+        }
+        Ok(())
     }
 
     /// Keeps ready entities, of those with messages only the ones with the highest rank, and resets guard conditions. The others stay
@@ -281,8 +293,7 @@ pub unsafe extern "C" fn rmw_create_wait_set(
             let waiter = context.waiters.claim(&context.participant);
             let (waiters, waits) = (context.waiters.clone(), context.waits.clone());
             let (is_measured, in_use) = (context.system.measures_execution(), AtomicBool::new(false));
-            let is_governed = context.system.is_governing();
-            let wait_set = WaitSet { waiters, waiter, waits, is_measured, is_governed, in_use };
+            let wait_set = WaitSet { waiters, waiter, waits, is_measured, in_use };
             handle.write(rmw_wait_set_t {
                 implementation_identifier: IDENTIFIER.as_ptr(),
                 guard_conditions: std::ptr::null_mut(),
@@ -347,8 +358,8 @@ pub unsafe extern "C" fn rmw_wait(
         };
         wait_set.waiters.check_process()?;
         let _turn = Turn::of(wait_set)?;
-        if wait_set.is_governed {
-            thread::govern(wanted.threads())?;
+        if wait_set.is_measured {
+            wanted.govern()?;
         }
         let timeout_ns = timeout.map(|time| time.sec.saturating_mul(1_000_000_000).saturating_add(time.nsec));
         job::wait(&wait_set.waits, timeout_ns, wait_set.is_measured);

@@ -71,15 +71,22 @@ fn five_topics_of_rclcpp_meet_their_deadlines() {
         on_tautline(&mut command);
         command
     };
-    for role in ["five", "one"] {
+    for (role, threads) in [("five", 5), ("one", 1)] {
         let text = std::fs::read_to_string(format!("../examples/rclcpp/{role}.toml")).unwrap();
         // Wherever the tests run there is such a core.
         let text = text.replace("cores = [1]", "cores = [0]").replace("core = 1", "core = 0");
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), text).unwrap();
         let steal_before = tautline_rt::host::steal_ticks(None);
-        let subscriber = start(&[role]).env("TAUT_SYSTEM", file.path()).stdout(Stdio::null()).spawn();
-        let mut subscriber = Running(subscriber.unwrap());
+        let said = tempfile::NamedTempFile::new().unwrap();
+        let mut subscriber = start(&[role]);
+        subscriber.env("TAUT_SYSTEM", file.path()).stdout(Stdio::null()).stderr(said.reopen().unwrap());
+        let mut subscriber = Running(subscriber.spawn().unwrap());
+        // What comes before a thread waits is not counted.
+        wait_until("all threads to wait", || {
+            let said = std::fs::read_to_string(said.path()).unwrap();
+            said.matches("of the system file: SCHED_FIFO").count() == threads
+        });
         assert!(start(&["publisher", "0", SECONDS]).status().unwrap().success());
         let report = || -> Value {
             let said = taut(&["report", "--json", "--domain", &domain.number.to_string()]);

@@ -689,6 +689,115 @@ fn overheads_of_executors_are_measured() {
     assert!(String::from_utf8_lossy(&nothing.stderr).contains("with TAUT_OVERHEADS=on"), "{nothing:?}");
 }
 
+/// A timer and a callback that sleep, for which they use no processor time.
+const ASLEEP: &str = r#"
+import rclpy, sys, threading, time
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from std_msgs.msg import String
+rclpy.init()
+node = rclpy.create_node("sleeper")
+publisher, again = [node.create_publisher(String, topic, 10) for topic in ("/tick", "/tock")]
+def hear(message):
+    if not heard: print("runs", flush=True)
+    heard.append(message)
+    time.sleep(0.05)
+heard, subscription = [], node.create_subscription(String, "/tick", hear, 10)
+def tick():
+    for to in publisher, again: to.publish(String(data="tick"))
+timer = node.create_timer(0.1, tick)
+executor = SingleThreadedExecutor()
+executor.add_node(node)
+def spin():
+    try: executor.spin()
+    except ExternalShutdownException: pass
+thread = threading.Thread(target=spin)
+thread.start()
+sys.stdin.read()
+rclpy.shutdown()
+thread.join()
+"#;
+
+/// `taut init` takes the processor time of callbacks, and knows timers by what they publish; what a killed process recorded does not run.
+#[test]
+fn unchanged_nodes_become_a_file_with_their_timers() {
+    let Some(domain) = seen(87) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("system.toml");
+    let (mut killed, _) = started(domain.python(ASLEEP).env("TAUT_TRACE", "on"));
+    killed.kill().unwrap();
+    killed.wait().unwrap();
+    let (process, _) = started(&mut domain.python(ASLEEP));
+    let said = taut(&domain, &["init", "--from-running", "--seconds", "2", file.to_str().unwrap()]);
+    end(process);
+    let text = std::fs::read_to_string(&file).unwrap_or_else(|error| panic!("{error}: {said}"));
+    let mut check = Command::new(built("taut", "taut").unwrap());
+    let (_, checked, errors) = words_of(check.arg("check").arg(&file).arg("--json"));
+    let checked: Value =
+        serde_json::from_str(&checked).unwrap_or_else(|error| panic!("{error}: {errors}{text}"));
+    let callbacks = checked["callbacks"].as_array().unwrap();
+    assert_eq!(callbacks.len(), 2, "{text}");
+    for callback in callbacks {
+        let of = |name: &str| callback[name].as_f64().unwrap();
+        assert!((90.0..110.0).contains(&of("period_ms")) && of("wcet_ms") < 50.0, "{text}");
+    }
+    for part in
+        ["publishes = [\"/tick\", \"/tock\"]", "# guess: a timer", "# guess: the longest processor time of "]
+    {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+}
+
+/// A callback whose messages wait for 50 ms before its thread takes them: the first three before it waits at all.
+const LATE: &str = r#"
+import rclpy, sys, time
+from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import String
+rclpy.init()
+node, source, heard = rclpy.create_node("listener"), rclpy.create_node("source"), []
+subscription = node.create_subscription(String, "/late", heard.append, 10)
+publisher = source.create_publisher(String, "/late", 10)
+while publisher.get_subscription_count() < 1: pass
+executor = SingleThreadedExecutor()
+executor.add_node(node)
+for count in 3, 1:
+    for _ in range(count): publisher.publish(String(data="some"))
+    time.sleep(0.05)
+    heard.clear()
+    while len(heard) < count: executor.spin_once()
+    executor.spin_once(timeout_sec=0)
+print("heard", flush=True)
+sys.stdin.read()
+"#;
+
+/// Of a response beyond its bound it is known how long the job was without the core. What was there before the executor spins is no job.
+#[test]
+fn core_time_of_late_callbacks_is_accounted_for() {
+    let Some(domain) = seen(98).filter(|_| may_be_realtime()) else { return };
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let text = "[hosts.here]\ncores = 1\n[overheads]\nrclpy = \"1ms\"\n[nodes.listener]\nclient = \"rclpy\"\n[topics]\n\"/late\" = { period = \"1s\" }\n\
+                [callbacks]\nhear = { topic = \"/late\", wcet = \"1ms\", priority = 10 }\n";
+    std::fs::write(file.path(), text).unwrap();
+    let run = |value: &str| {
+        let mut command = domain.python(LATE);
+        command.env("TAUT_SYSTEM", file.path()).env("TAUT_CORE_TIME", value);
+        started(&mut command)
+    };
+    let end = |process: Child| {
+        let measured = report(&domain)["callbacks"][0]["measured"].clone();
+        end(process);
+        measured
+    };
+    let measured = end(run("on").0);
+    let of = |name: &str| measured["host"][name].as_f64().unwrap_or_else(|| panic!("{name}: {measured}"));
+    let seen = [&measured["jobs"], &measured["max_queue"], &measured["host"]["beyond"]];
+    assert_eq!(seen, [1; 3].map(|one| json!(one)).each_ref(), "{measured}");
+    assert!(of("longest_ms") >= 50.0 && of("waited_ms") >= 40.0, "{measured}");
+    let measured = end(run("off").0);
+    assert_eq!(measured["host"], Value::Null, "{measured}");
+    let (mut process, line) = run("1");
+    assert!(line.is_empty() && !process.wait().unwrap().success(), "a switch is on or off: {line}");
+}
+
 /// A node that republishes what it hears, or publishes by a timer.
 const OF_TEN: &str = r#"
 import os, rclpy, sys, threading

@@ -3,7 +3,11 @@
 
 use crate::admission::Admission;
 use crate::error::{Result, SystemError};
+use std::time::Duration;
 use tautline_executor::Realtime;
+
+/// The shortest time taken from one job that `TAUT_CORE_TIME=on` records.
+pub const CORE_TIME_PIECE: Duration = Duration::from_micros(100);
 
 /// `TAUT_REALTIME`: whether threads get their real-time policies.
 ///
@@ -32,6 +36,14 @@ pub fn admission_of_environment(has_system: bool) -> Result<Admission> {
         Some("force") => Ok(Admission::Force),
         Some(value) => Err(SystemError::Environment { variable, value: value.to_owned(), expected }),
     }
+}
+
+/// `TAUT_CORE_TIME`: whether what the host takes from jobs is recorded, and from which time on.
+///
+/// # Errors
+/// [`SystemError::Environment`].
+pub fn core_time_of_environment() -> Result<Option<Duration>> {
+    Ok(switch_of_environment("TAUT_CORE_TIME")?.unwrap_or(false).then_some(CORE_TIME_PIECE))
 }
 
 /// A switch; `None` if it is not set.

@@ -14,7 +14,8 @@ mod statistics;
 
 pub use admission::{Admission, Gate, Running, admit_callbacks, admit_system, decide, label_of};
 pub use environment::{
-    admission_of_environment, environment, realtime_of_environment, switch_of_environment,
+    CORE_TIME_PIECE, admission_of_environment, core_time_of_environment, environment,
+    realtime_of_environment, switch_of_environment,
 };
 pub use error::SystemError;
 pub use loaded::LoadedSystem;

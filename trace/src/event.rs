@@ -94,7 +94,8 @@ pub struct Event {
     pub object: ObjectId,
     /// `publish`, `take` and `receive`: sequence number, source time stamp (nanoseconds since 1970), [`gid_key`] of the publisher.
     /// `pass`: sequence number among the object's messages, original sequence number, [`gid_key`] of the original publisher.
-    /// `callback_start`: the release of its message or tick on `CLOCK_MONOTONIC`. `spin_start`: the longest wait in nanoseconds,
+    /// `callback_start`: the release of its message or tick on `CLOCK_MONOTONIC`. `callback_end`: the processor time that it used, in
+    /// nanoseconds; 0 if that was not measured. `spin_start`: the longest wait in nanoseconds,
     /// `u64::MAX` for as long as it takes. Otherwise zeros.
     pub arguments: [u64; 3],
 }

@@ -127,14 +127,14 @@ pub fn callback_start(callback: ObjectId, release_ns: u64) {
     lttng::callback_start(callback);
 }
 
-/// `callback` has ended.
+/// `callback` has ended, for which its thread used so much processor time, if that was measured.
 ///
 /// # Real-time
 /// As [`publish`].
 #[inline(always)]
-pub fn callback_end(callback: ObjectId) {
+pub fn callback_end(callback: ObjectId, used_ns: Option<u64>) {
     if ON.load(Ordering::Relaxed) {
-        record(EventKind::CallbackEnd, callback, [0; 3]);
+        record(EventKind::CallbackEnd, callback, [used_ns.unwrap_or(0), 0, 0]);
     }
     #[cfg(feature = "lttng")]
     lttng::callback_end(callback);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A system file of what a recording shows. Callbacks are those that ran; what each publishes is what its thread published meanwhile.
+//! A system file of what a recording shows. Callbacks are those that ran; what each publishes is what its thread published meanwhile. Of
+//! timers of ROS's clients only that is seen: what a thread that waits in the RMW publishes between its wake and its first take.
 
 use crate::trace::messages::{Run, runs};
 use crate::trace::recording::{Process, Recording};
@@ -23,16 +24,23 @@ struct Callback {
     trigger: Trigger,
     runs: usize,
     longest_ns: u64,
+    /// Whether that is processor time.
+    is_exact: bool,
     publishes: BTreeSet<String>,
 }
 
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord)]
 enum Trigger {
     Timer(u64),
+    /// One of ROS's clients, by the mean distance of what it publishes.
+    Unseen(u64),
     Topic(String),
     /// A stream of the program's own.
     Unknown,
 }
+
+/// Topics that ROS's clients publish by themselves.
+const OF_EVERY_NODE: [&str; 2] = ["/rosout", "/parameter_events"];
 
 /// By process and number.
 type Threads = HashMap<(u32, u32), ThreadInfo>;
@@ -42,6 +50,13 @@ struct Rate {
     messages: usize,
     /// Mean distance and greatest deviation from that; `None` with fewer than three messages.
     regular: Option<(u64, u64)>,
+}
+
+/// Without what processes recorded that have ended: a killed one's is fetched with the others'.
+pub fn of_those_that_run(mut recording: Recording) -> Recording {
+    recording.processes.retain(|_, process| rt::threads_of(process.pid).is_ok_and(|of| !of.is_empty()));
+    recording.events.retain(|timed| recording.processes.contains_key(&timed.process));
+    recording
 }
 
 pub fn describe(recording: &Recording) -> Described {
@@ -104,14 +119,16 @@ fn callbacks(recording: &Recording, threads: &Threads) -> Vec<Callback> {
             trigger,
             runs: 0,
             longest_ns: 0,
+            is_exact: true,
             publishes: BTreeSet::new(),
         });
         one.runs += 1;
         one.longest_ns = one.longest_ns.max(used_ns);
+        one.is_exact &= run.used_ns.is_some() || run.end_ns.is_none();
         let topics = published.get(&(run.process, run.tid, run.start_ns)).into_iter().flatten();
         one.publishes.extend(topics.map(|topic| (*topic).to_owned()));
     }
-    let mut callbacks: Vec<_> = found.into_values().collect();
+    let mut callbacks: Vec<_> = found.into_values().chain(unseen_timers(recording, &open)).collect();
     let mut taken = BTreeSet::new();
     for callback in &mut callbacks {
         let names =
@@ -121,6 +138,92 @@ fn callbacks(recording: &Recording, threads: &Threads) -> Vec<Callback> {
         taken.insert(callback.key.clone());
     }
     callbacks
+}
+
+/// What a thread of ROS's did between its wake and its first take.
+struct Round {
+    woken_ns: u64,
+    ends_ns: u64,
+    /// When it published, on which topic in which node.
+    published: Vec<(u64, String, String)>,
+}
+
+/// Timers of ROS's clients, which their executors run before they take anything.
+fn unseen_timers(recording: &Recording, runs: &HashMap<(u32, u32), Vec<&Run>>) -> Vec<Callback> {
+    let mut rounds: BTreeMap<(u32, u32), Vec<Round>> = BTreeMap::new();
+    for timed in &recording.events {
+        let (place, time_ns) = ((timed.process, timed.tid), timed.event.time_ns);
+        let object = recording.object(timed.process, timed.event.object);
+        let is_rmw = object.is_some_and(|object| object.name == "rmw_wait");
+        match timed.event.kind {
+            EventKind::SpinWake | EventKind::SpinTimeout if is_rmw => {
+                let round = Round { woken_ns: time_ns, ends_ns: u64::MAX, published: Vec::new() };
+                rounds.entry(place).or_default().push(round);
+            }
+            EventKind::Publish if run_at(runs, timed.process, timed.tid, time_ns).is_none() => {
+                let node = object.and_then(|topic| node_of(recording, timed.process, topic.parent));
+                let round = rounds.get_mut(&place).and_then(|rounds| rounds.last_mut());
+                if let (Some(topic), Some(node), Some(round)) = (object, node, round)
+                    && round.ends_ns == u64::MAX
+                    && !OF_EVERY_NODE.contains(&&*topic.name)
+                {
+                    round.published.push((time_ns, topic.name.clone(), node));
+                }
+            }
+            EventKind::CallbackStart | EventKind::SpinStart => {
+                if let Some(round) = rounds.get_mut(&place).and_then(|rounds| rounds.last_mut()) {
+                    round.ends_ns = round.ends_ns.min(time_ns);
+                }
+            }
+            _ => {}
+        }
+    }
+    rounds.into_iter().flat_map(|((process, tid), rounds)| timers_of_thread(process, tid, &rounds)).collect()
+}
+
+/// A timer, by the rounds in which it published.
+struct Timer<'r> {
+    node: &'r str,
+    rounds: Vec<usize>,
+    period_ns: u64,
+    publishes: BTreeSet<String>,
+}
+
+/// Topics of a node that it always publishes in the same rounds are one timer's.
+fn timers_of_thread(process: u32, tid: u32, rounds: &[Round]) -> Vec<Callback> {
+    // The rounds that published on a topic of a node, and when they did first.
+    let mut topics: BTreeMap<(&str, &str), BTreeMap<usize, u64>> = BTreeMap::new();
+    for (index, round) in rounds.iter().enumerate().filter(|(_, round)| round.ends_ns != u64::MAX) {
+        for (time_ns, topic, node) in &round.published {
+            topics.entry((node, topic)).or_default().entry(index).or_insert(*time_ns);
+        }
+    }
+    let mut timers: Vec<Timer<'_>> = Vec::new();
+    for ((node, topic), seen) in topics {
+        let times: Vec<u64> = seen.values().copied().collect();
+        let Some((period_ns, _)) = rate(&times).regular else { continue };
+        let (rounds, publishes) = (seen.into_keys().collect(), BTreeSet::from([topic.to_owned()]));
+        match timers.iter_mut().find(|timer| timer.node == node && timer.rounds == rounds) {
+            Some(timer) => timer.publishes.extend(publishes),
+            None => timers.push(Timer { node, rounds, period_ns, publishes }),
+        }
+    }
+    let described = |timer: Timer<'_>| {
+        let length_ns = |index: &usize| rounds[*index].ends_ns.saturating_sub(rounds[*index].woken_ns);
+        let first = timer.publishes.first().map_or("", String::as_str);
+        Callback {
+            key: key(&format!("{} {first} timer", timer.node)),
+            node: timer.node.to_owned(),
+            process,
+            tid,
+            trigger: Trigger::Unseen(timer.period_ns),
+            runs: timer.rounds.len(),
+            longest_ns: timer.rounds.iter().map(length_ns).max().unwrap_or(0),
+            is_exact: false,
+            publishes: timer.publishes,
+        }
+    };
+    timers.into_iter().map(described).collect()
 }
 
 /// The run of a thread's callback at this time.
@@ -162,8 +265,8 @@ fn threads(recording: &Recording) -> Threads {
     recording.processes.iter().flat_map(of).collect()
 }
 
-/// The time from start to end of each run, without that of runs which preempted it: those that lie within it on the only core of both
-/// threads.
+/// The processor time of each run. Where it was not measured it is the time from start to end, without that of runs which preempted it:
+/// those that lie within it on the only core of both threads.
 fn used(runs: &[Run], threads: &Threads) -> Vec<u64> {
     let mut used: Vec<u64> =
         runs.iter().map(|run| run.end_ns.map_or(0, |end_ns| end_ns.saturating_sub(run.start_ns))).collect();
@@ -179,6 +282,7 @@ fn used(runs: &[Run], threads: &Threads) -> Vec<u64> {
         }
         outer.push(index);
     }
+    used.iter_mut().zip(runs).for_each(|(used_ns, run)| *used_ns = run.used_ns.unwrap_or(*used_ns));
     used
 }
 
@@ -234,6 +338,12 @@ fn time(ns: u64) -> String {
         _ if ns.is_multiple_of(1_000) => format!("{}us", ns / 1_000),
         _ => format!("{ns}ns"),
     }
+}
+
+/// To three digits that count.
+fn rounded(ns: u64) -> u64 {
+    let unit = 10_u64.pow(ns.max(100).ilog10().saturating_sub(2));
+    (ns + unit / 2) / unit * unit
 }
 
 /// Up to two digits that count.
@@ -356,7 +466,7 @@ impl File {
         group: Option<&str>,
         shares: bool,
     ) {
-        let Callback { key, node, trigger, runs, longest_ns, publishes, .. } = callback;
+        let Callback { key, node, trigger, runs, longest_ns, is_exact, publishes, .. } = callback;
         if *trigger == Trigger::Unknown {
             self.line(&format!(
                 "\n# {key} of {node} ran {runs} times for neither a topic nor a timer: it is not described."
@@ -366,11 +476,16 @@ impl File {
         self.line(&format!("\n[callbacks.{key}]\nnode = {:?}", node_name(node)));
         match trigger {
             Trigger::Timer(period_ns) => self.line(&format!("period = \"{}\"", time(*period_ns))),
+            Trigger::Unseen(period_ns) => self.guess(
+                &format!("period = \"{}\"", time(rounded(*period_ns))),
+                "a timer, by the mean distance of what it published",
+            ),
             Trigger::Topic(topic) => self.line(&format!("topic = {topic:?}")),
             Trigger::Unknown => {}
         }
         let wcet = format!("wcet = \"{}\"", time(rounded_up(*longest_ns)));
-        self.guess(&wcet, &format!("the longest of {runs} runs"));
+        let of = if *is_exact { "processor time" } else { "time from start to end" };
+        self.guess(&wcet, &format!("the longest {of} of {runs} runs"));
         match thread.map(core_of) {
             Some((core, false)) => self.line(&format!("core = {core}")),
             Some((core, true)) => self.guess(&format!("core = {core}"), "its thread may run on others, too"),

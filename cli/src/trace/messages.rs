@@ -30,6 +30,8 @@ pub struct Run {
     pub end_ns: Option<u64>,
     /// Of its message or tick.
     pub release_ns: u64,
+    /// The processor time that it used, if it has ended and that was measured.
+    pub used_ns: Option<u64>,
     /// `None` for a timer, and if the recording does not contain the take.
     pub message: Option<MessageKey>,
 }
@@ -82,6 +84,7 @@ pub fn runs(recording: &Recording) -> Vec<Run> {
                     start_ns: event.time_ns,
                     end_ns: None,
                     release_ns: event.arguments[0],
+                    used_ns: None,
                     message,
                 });
             }
@@ -90,6 +93,7 @@ pub fn runs(recording: &Recording) -> Vec<Run> {
                 let running = open.get(&(process, tid)).and_then(|index| runs.get_mut(*index));
                 if let Some(run) = running.filter(|run| run.callback == event.object) {
                     run.end_ns = Some(event.time_ns);
+                    run.used_ns = Some(event.arguments[0]).filter(|ns| *ns > 0);
                     open.remove(&(process, tid));
                 }
             }

@@ -123,13 +123,18 @@ impl CallbackStats {
 
     /// A job begins.
     pub(crate) fn release(&self, release_ns: u64) {
+        self.release_after(1, release_ns);
+    }
+
+    /// A job begins. Its distance from the one before counts after so many releases.
+    pub(crate) fn release_after(&self, uneven: u64, release_ns: u64) {
         let Some(head) = self.head() else { return };
         let last = &head[word::LAST_RELEASE];
         let last_ns = last.load(Ordering::Relaxed);
-        if head[word::RELEASES].load(Ordering::Relaxed) == 0 {
+        let releases = head[word::RELEASES].load(Ordering::Relaxed);
+        if releases == 0 {
             head[word::FIRST_RELEASE].store(release_ns, Ordering::Relaxed);
-            last.store(release_ns, Ordering::Relaxed);
-        } else {
+        } else if releases >= uneven {
             // Two streams of one callback may hand out their items in another order than that of their releases.
             let distance = block::encode_distance(release_ns.abs_diff(last_ns));
             let least = &head[word::LEAST_DISTANCE];
@@ -141,9 +146,9 @@ impl CallbackStats {
             if distance > greatest.load(Ordering::Relaxed) {
                 greatest.store(distance, Ordering::Relaxed);
             }
-            if release_ns > last_ns {
-                last.store(release_ns, Ordering::Relaxed);
-            }
+        }
+        if releases == 0 || release_ns > last_ns {
+            last.store(release_ns, Ordering::Relaxed);
         }
         add(&head[word::RELEASES], 1);
     }
@@ -181,9 +186,9 @@ impl CallbackStats {
         violations
     }
 
-    /// A job that is seen only by what it published.
-    pub(crate) fn publish(&self, now_ns: u64) {
-        self.release(now_ns);
+    /// A job that is seen only by what it published. Its distance counts as in [`release_after`](Self::release_after).
+    pub(crate) fn publish(&self, uneven: u64, now_ns: u64) {
+        self.release_after(uneven, now_ns);
         if let Some(head) = self.head() {
             add(&head[word::COMPLETIONS], 1);
         }

@@ -228,6 +228,11 @@ impl RawSubscription {
         self.counters.clone()
     }
 
+    /// Has [`max_queue`](SubscriptionCounters::max_queue) begin anew: what was queued until now does not count.
+    pub fn forget_max_queue(&self) {
+        self.counters.max_queue.store(0, Ordering::Relaxed);
+    }
+
     /// This subscription's id in trace events.
     pub fn trace_id(&self) -> tautline_trace::ObjectId {
         self.trace.id()
