@@ -239,7 +239,8 @@ impl Receiver {
         let lost = number.saturating_sub(half.next);
         // Numbers are another process's claims: too large a one is a wrong count, not an overflow.
         half.next = half.next.max(number.saturating_add(1));
-        let waiting = self.block().out.sent.load(Ordering::Relaxed).saturating_add(1).saturating_sub(number);
+        // With the queue's own positions, which are on the cache line that this take has fetched.
+        let waiting = self.connection.queued() as u64 + 1;
         // Release: pairs with the Acquire in the publisher's check for room.
         self.block().back.taken.store(number, Ordering::Release);
         let held = BorrowedChunk { receiver: self.clone(), chunk, _map: view.map.clone() };
