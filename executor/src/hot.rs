@@ -648,3 +648,35 @@ where
         Poll::Ready(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_job_that_ends_soon_after_another_is_charged_what_has_passed() {
+        let stopwatch = Stopwatch::new(false);
+        stopwatch.begin();
+        stopwatch.lap(0, true);
+        assert_eq!(
+            [10, 300, SHORT_NS + 299].map(|now_ns| stopwatch.lap(now_ns, false)),
+            [10, 290, SHORT_NS - 1]
+        );
+        // What this thread has used is not known to the clock above.
+        let second_ns = 1_000_000_000;
+        assert!(stopwatch.lap(second_ns, false) < second_ns / 2, "longer: what it has used");
+        assert!(stopwatch.lap(second_ns + 10, true) != 10, "as exactly as can be");
+    }
+
+    #[test]
+    fn the_cpu_clock_is_read_now_and_then_in_a_row_of_short_jobs() {
+        let stopwatch = Stopwatch::new(false);
+        stopwatch.begin();
+        stopwatch.lap(0, true);
+        let unread = (1..=10 * u64::from(SHORT_JOBS)).map(|job| {
+            stopwatch.lap(job * 10, false);
+            stopwatch.unread.get()
+        });
+        assert_eq!(unread.filter(|unread| *unread == 0).count(), 9);
+    }
+}

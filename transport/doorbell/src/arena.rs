@@ -454,6 +454,24 @@ mod tests {
     }
 
     #[test]
+    fn a_process_wakes_a_sleeper_once() {
+        let arena = Arena::create(ArenaId(7), memory(MAIN_BYTES));
+        let threads = [Sleeper::Thread(0), Sleeper::Thread(255)];
+        for sleeper in threads.into_iter().chain([Sleeper::Sampler, Sleeper::Sampler]) {
+            let ring = || match sleeper {
+                Sleeper::Sampler => arena.ring(3),
+                thread => arena.wake(thread),
+            };
+            assert_eq!(arena.count_wakes(sleeper, || (0..3).for_each(|_| ring())), 1, "{sleeper:?}");
+            assert_eq!(arena.count_wakes(sleeper, || ()), 0);
+        }
+        // Others rely on no wake of this process.
+        let other = Arena::open(ArenaId(7), arena.main.clone()).unwrap();
+        let both = || [&arena, &other, &arena, &other].into_iter().for_each(|arena| arena.ring(3));
+        assert_eq!(arena.count_wakes(Sleeper::Sampler, both), 2);
+    }
+
+    #[test]
     fn a_slot_of_a_window_is_rung_and_rescued() {
         let arena = Arena::create(ArenaId(7), memory(MAIN_BYTES));
         arena.add_window(1, memory(window_bytes(1)));

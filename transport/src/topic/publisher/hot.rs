@@ -208,6 +208,7 @@ impl RawPublisher {
                 sent.map_err(|unsent| E::from(unsent.error))
             });
             burst.must_ring |= sent.map_err(|error| BurstError { published, error })?;
+            self.publish_state.borrow().table().pool.fetch_next();
             published += 1;
         }
         Ok(published)
@@ -222,6 +223,7 @@ impl RawPublisher {
         if self.queue(loan, sending)? {
             self.ring(sending.to);
         }
+        self.publish_state.borrow().table().pool.fetch_next();
         Ok(())
     }
 
