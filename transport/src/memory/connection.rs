@@ -62,7 +62,6 @@ pub(crate) struct Out {
     pub(crate) sent: AtomicU64,
     /// When the publisher last showed that it is alive.
     pub(crate) alive_ns: AtomicU64,
-    pub(crate) room: RoomRequest,
     served: AtomicU32,
     /// Samples that made way for newer ones before they were taken.
     pub(crate) overwritten: AtomicU64,
@@ -108,7 +107,7 @@ impl Out {
     }
 }
 
-/// Written by the subscription.
+/// Written by the subscription, but for the request.
 #[repr(C, align(64))]
 pub(crate) struct Back {
     /// The number of the last sample that was taken.
@@ -116,6 +115,7 @@ pub(crate) struct Back {
     state: AtomicU32,
     /// The publisher's segments of samples that are mapped: how often they had changed.
     pub(crate) mapped: AtomicU32,
+    pub(crate) room: RoomRequest,
 }
 
 impl Back {
@@ -371,11 +371,15 @@ impl Template {
                     start: AtomicU64::new(0),
                     sent: AtomicU64::new(0),
                     alive_ns: AtomicU64::new(0),
-                    room: RoomRequest::default(),
                     served: AtomicU32::new(0),
                     overwritten: AtomicU64::new(0),
                 },
-                back: Back { taken: AtomicU64::new(0), state: AtomicU32::new(0), mapped: AtomicU32::new(0) },
+                back: Back {
+                    taken: AtomicU64::new(0),
+                    state: AtomicU32::new(0),
+                    mapped: AtomicU32::new(0),
+                    room: RoomRequest::default(),
+                },
                 submitted: RelocatableSafelyOverflowingIndexQueue::new_uninit(shape.depth),
                 returned: Returned(RelocatableIndexQueue::new_uninit(shape.returned_len())),
             });

@@ -328,7 +328,7 @@ impl ReaderChannel {
     pub(crate) unsafe fn has_room(&self, is_asked: bool) -> bool {
         // SAFETY: as the caller promises.
         let half = unsafe { &mut *self.half.get() };
-        let Out { start, sent, room, .. } = &self.block().out;
+        let (Out { start, sent, .. }, back) = (&self.block().out, &self.block().back);
         let sent = sent.load(Ordering::Relaxed);
         // A queue that nothing was put into yet has taken nothing either.
         let before = start.load(Ordering::Relaxed).saturating_sub(1);
@@ -339,10 +339,10 @@ impl ReaderChannel {
         }
         let mut is_full_now = || {
             // Acquire: pairs with the Release of the subscription's take.
-            half.taken = self.block().back.taken.load(Ordering::Acquire);
+            half.taken = back.taken.load(Ordering::Acquire);
             is_full(half.taken)
         };
-        !is_full_now() || is_asked && !room.request(is_full_now)
+        !is_full_now() || is_asked && !back.room.request(is_full_now)
     }
 
     /// Tells a subscription that has a deadline that a sample comes now.
