@@ -21,8 +21,8 @@ use core::cell::UnsafeCell;
 use core::ptr::NonNull;
 use std::sync::Arc;
 use std::sync::atomic::{Ordering, fence};
-use tautline_rt::LatestReader;
 use tautline_rt::shm::Mapping;
+use tautline_rt::{LatestReader, fetch_to_read};
 
 /// What a subscription knows of a publisher.
 pub(crate) struct Receiver {
@@ -64,6 +64,8 @@ struct TakeHalf {
     /// Samples that were taken out of the queue and come next, the first one last.
     stash: [u64; AT_A_TIME],
     stashed: usize,
+    /// How many were left in the queue, until the first of the stash is given out.
+    queued: usize,
     /// Of samples that are addressed to other subscriptions: how many were overwritten, and counted.
     overwritten: u64,
 }
@@ -189,6 +191,7 @@ impl Receiver {
                 parked: None,
                 stash: [0; AT_A_TIME],
                 stashed: 0,
+                queued: 0,
                 overwritten: 0,
             }),
         }
@@ -242,7 +245,7 @@ impl Receiver {
         // SAFETY: as the caller promises.
         let half = unsafe { &mut *self.half.get() };
         // SAFETY: as the caller promises.
-        let Some(chunk) = half.parked.take().or_else(|| unsafe { self.next_chunk(half) }) else {
+        let Some(chunk) = half.parked.take().or_else(|| unsafe { self.next_chunk(half, segments) }) else {
             return if has_ended { self.settle(half) } else { TakeOutcome::Empty };
         };
         let Some((view, payload)) = locate(chunk, segments) else {
@@ -271,8 +274,7 @@ impl Receiver {
         let lost = number.saturating_sub(half.next);
         // Numbers are another process's claims: too large a one is a wrong count, not an overflow.
         half.next = half.next.max(number.saturating_add(1));
-        // With the queue's own positions, which are on the cache line that this take has fetched.
-        let waiting = (self.connection.queued() + half.stashed) as u64 + 1;
+        let waiting = core::mem::take(&mut half.queued) as u64 + half.stashed as u64 + 1;
         let is_last = half.stashed == 0;
         if is_last {
             // Release: pairs with the Acquire in the publisher's check for room.
@@ -286,7 +288,7 @@ impl Receiver {
     ///
     /// # Safety
     /// For the thread that takes, of a live receiver, whose half that is.
-    unsafe fn next_chunk(&self, half: &mut TakeHalf) -> Option<u64> {
+    unsafe fn next_chunk(&self, half: &mut TakeHalf, segments: &SegmentViews) -> Option<u64> {
         if half.stashed == 0 {
             let mut places = half.stash.iter_mut().take(self.at_a_time);
             // SAFETY: as the caller promises.
@@ -296,8 +298,16 @@ impl Receiver {
             {
                 *place = chunk;
                 half.stashed += 1;
+                // While those before it are read.
+                if let Some((_, payload)) = locate(chunk, segments).filter(|_| half.stashed > 1) {
+                    fetch_to_read(payload.cast());
+                    // SAFETY: a header is before it.
+                    fetch_to_read(unsafe { payload.cast::<u8>().byte_sub(HEADER_BYTES) });
+                }
             }
             half.stash.get_mut(..half.stashed)?.reverse();
+            // Its positions are on the cache line that was fetched just now.
+            half.queued = if half.stashed > 0 { self.connection.queued() } else { 0 };
         }
         half.stashed = half.stashed.checked_sub(1)?;
         half.stash.get(half.stashed).copied()
@@ -318,7 +328,7 @@ impl Receiver {
         let half = unsafe { &mut *self.half.get() };
         if half.parked.is_none() && half.stashed > 0 {
             // SAFETY: as the caller promises.
-            half.parked = unsafe { self.next_chunk(half) };
+            half.parked = unsafe { self.next_chunk(half, segments) };
         } else if half.parked.is_none() {
             if !self.has_samples() {
                 return Some(false);
