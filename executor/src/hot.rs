@@ -168,32 +168,48 @@ impl BudgetEnforcer {
 /// Measures execution times on the thread it was made on.
 ///
 /// The thread's CPU clock costs a syscall, so it is read once per job, at its end: a job is charged what the thread has
-/// used since the job before, which is its callback's work and the executor's to get there. A busy poller uses the
+/// used since the job before, which is its callback's work and the executor's to get there. It is not read if that ended less than
+/// [`SHORT_NS`] ago: then the thread was not preempted, and has used what has passed. A busy poller uses the
 /// processor all the time, but has it to itself: there the monotonic clock, which costs no syscall, is read at both ends.
 pub(crate) struct Stopwatch {
     busy: bool,
     /// The end of the previous job; `None` before the first.
     since_ns: Cell<Option<u64>>,
+    /// The same on the monotonic clock, unless that is the one above.
+    ended_ns: Cell<u64>,
+    /// How many jobs since the CPU clock was read: the clocks differ in rate.
+    unread: Cell<u32>,
 }
+
+/// Less than two switches between threads take.
+const SHORT_NS: u64 = 1000;
+/// After so many short jobs the CPU clock is read all the same.
+const SHORT_JOBS: u32 = 64;
 
 impl Stopwatch {
     pub const fn new(busy: bool) -> Stopwatch {
-        Stopwatch { busy, since_ns: Cell::new(None) }
-    }
-
-    fn now_ns(&self) -> u64 {
-        if self.busy { monotonic_ns() } else { thread_cpu_ns() }
+        Stopwatch { busy, since_ns: Cell::new(None), ended_ns: Cell::new(0), unread: Cell::new(0) }
     }
 
     pub fn begin(&self) {
-        if self.busy || self.since_ns.get().is_none() {
-            self.since_ns.set(Some(self.now_ns()));
+        if self.busy {
+            self.since_ns.set(Some(monotonic_ns()));
+        } else if self.since_ns.get().is_none() {
+            self.since_ns.set(Some(thread_cpu_ns()));
         }
     }
 
-    pub fn lap(&self) -> u64 {
-        let now_ns = self.now_ns();
-        now_ns.saturating_sub(self.since_ns.replace(Some(now_ns)).unwrap_or(now_ns))
+    /// The execution time of a job that ends `now_ns`, on the monotonic clock. The CPU clock is read if that `is_exact`.
+    pub fn lap(&self, now_ns: u64, is_exact: bool) -> u64 {
+        let passed_ns = now_ns.saturating_sub(self.ended_ns.replace(now_ns));
+        let is_short = !is_exact && passed_ns < SHORT_NS && self.unread.get() < SHORT_JOBS;
+        let end_ns = match self.since_ns.get() {
+            _ if self.busy => now_ns,
+            Some(since_ns) if is_short => since_ns.saturating_add(passed_ns),
+            _ => thread_cpu_ns(),
+        };
+        self.unread.set(if is_short { self.unread.get() + 1 } else { 0 });
+        end_ns.saturating_sub(self.since_ns.replace(Some(end_ns)).unwrap_or(end_ns))
     }
 }
 
@@ -225,14 +241,15 @@ impl Measured {
         if self.enforcer.as_ref().is_some_and(BudgetEnforcer::end) {
             self.stats.demoted();
         }
-        let execution_ns = self.stopwatch.as_ref().map(Stopwatch::lap);
+        let is_exact = self.enforcer.is_some();
+        let execution_ns = self.stopwatch.as_ref().map(|stopwatch| stopwatch.lap(now_ns, is_exact));
         stats::Job { release_ns, response_ns, execution_ns, input_size }
     }
 
     /// What handlers used up is no job's.
     fn pass_over(&self, told: bool) {
         if let (true, Some(stopwatch)) = (told, &self.stopwatch) {
-            stopwatch.lap();
+            stopwatch.lap(monotonic_ns(), true);
         }
     }
 }
@@ -393,8 +410,11 @@ impl Future for Controlled {
         // is in this pool.
         match waiting {
             WaitMode::InPool => future.as_mut().poll(cx),
+            // What is polled again anyway need not be woken.
             WaitMode::Busy => loop {
-                if future.as_mut().poll(cx).is_ready() || control.stopped.load(Ordering::Acquire) {
+                if future.as_mut().poll(&mut Context::from_waker(Waker::noop())).is_ready()
+                    || control.stopped.load(Ordering::Acquire)
+                {
                     return Poll::Ready(());
                 }
             },
@@ -452,7 +472,7 @@ impl Job {
     /// Ends the job and records its response and execution time. Call it on the thread that began the job.
     ///
     /// # Real-time
-    /// Wait-free; no allocation; one syscall to read the CPU clock, none if execution times are not measured or the thread busy-polls. If
+    /// Wait-free; no allocation; one syscall to read the CPU clock, none if execution times are not measured, the thread busy-polls or the job before ended less than 1 µs ago. If
     /// budgets are enforced by timers: one more, as many at the start of the job, and after an overrun another one at both; by the enforcer:
     /// at most a futex wake at the start. If core time is accounted
     /// for: three more. In addition, the cost of the handlers of [`CallbackOptions`](crate::CallbackOptions), if one is called.
@@ -630,5 +650,37 @@ where
             total.pass_over(of_member || of_group);
         }
         Poll::Ready(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_job_that_ends_soon_after_another_is_charged_what_has_passed() {
+        let stopwatch = Stopwatch::new(false);
+        stopwatch.begin();
+        stopwatch.lap(0, true);
+        assert_eq!(
+            [10, 300, SHORT_NS + 299].map(|now_ns| stopwatch.lap(now_ns, false)),
+            [10, 290, SHORT_NS - 1]
+        );
+        // What this thread has used is not known to the clock above.
+        let second_ns = 1_000_000_000;
+        assert!(stopwatch.lap(second_ns, false) < second_ns / 2, "longer: what it has used");
+        assert!(stopwatch.lap(second_ns + 10, true) != 10, "as exactly as can be");
+    }
+
+    #[test]
+    fn the_cpu_clock_is_read_now_and_then_in_a_row_of_short_jobs() {
+        let stopwatch = Stopwatch::new(false);
+        stopwatch.begin();
+        stopwatch.lap(0, true);
+        let unread = (1..=10 * u64::from(SHORT_JOBS)).map(|job| {
+            stopwatch.lap(job * 10, false);
+            stopwatch.unread.get()
+        });
+        assert_eq!(unread.filter(|unread| *unread == 0).count(), 9);
     }
 }

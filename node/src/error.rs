@@ -8,7 +8,7 @@ use tautline_msgs::cdr::{DecodeError, EncodeError, WriteError};
 use tautline_rt::RtError;
 use tautline_system::SystemError;
 use tautline_transport::{
-    LoanError, PublishCdrError, PublishError, SendError, ServiceError, TakeError, TransportError,
+    BurstError, LoanError, PublishCdrError, PublishError, SendError, ServiceError, TakeError, TransportError,
 };
 
 /// Errors of setting up a node and of publishing. Each message names the object, the limit and the fix.
@@ -286,6 +286,13 @@ impl From<LoanError> for Error {
 impl<L> From<SendError<L, ServiceError>> for Error {
     fn from(unsent: SendError<L, ServiceError>) -> Self {
         Error::Service(unsent.error)
+    }
+}
+
+/// How many messages were published is dropped: take it from [`BurstError::published`] to keep it.
+impl<E: Into<Error>> From<BurstError<E>> for Error {
+    fn from(burst: BurstError<E>) -> Self {
+        burst.error.into()
     }
 }
 

@@ -234,11 +234,11 @@ pub mod rt {
 pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 pub use tautline_system::{Admission, SystemError};
 pub use tautline_transport::{
-    Claim, DoorbellError, Durability, Gid, GraphEvents, History, IncompatibleQos, IncompatibleType, Limits,
-    Liveliness, LivelinessChanged, Loan, LoanError, MAX_PENDING_REQUESTS, Matched, MessageInfo, MessageLost,
-    PendingResponse, PublishCdrError, PublishError, Publisher, PublisherCounters, Qos, QosPolicyKind,
-    Reliability, Request, RequestId, Response, Sample, SendError, ServiceError, SubscriptionCounters,
-    TakeError, TopicMemory, TransportError, Unwritten, UnwrittenResponse, topic_memory,
+    BurstError, Claim, DoorbellError, Durability, Gid, GraphEvents, History, IncompatibleQos,
+    IncompatibleType, Limits, Liveliness, LivelinessChanged, Loan, LoanError, MAX_PENDING_REQUESTS, Matched,
+    MessageInfo, MessageLost, PendingResponse, PublishCdrError, PublishError, Publisher, PublisherCounters,
+    Qos, QosPolicyKind, Reliability, Request, RequestId, Response, Sample, SendError, ServiceError,
+    SubscriptionCounters, TakeError, TopicMemory, TransportError, Unwritten, UnwrittenResponse, topic_memory,
 };
 
 /// The codecs over which endpoints of topics, services and actions are generic: a Rust type is its own codec;

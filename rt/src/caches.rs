@@ -82,6 +82,46 @@ pub fn copy_to_shared(to: &mut [u8], from: &[u8]) {
     to.copy_from_slice(from);
 }
 
+/// Has the cache fetch the line at an address from the core that read it, to be written soon. Nothing is read or written.
+///
+/// # Real-time
+/// Wait-free; no syscall; at most one instruction, which waits for nothing.
+#[inline(always)]
+pub fn fetch_to_write(address: std::ptr::NonNull<u8>) {
+    // SAFETY: a hint, which faults at no address. Processors that do not know it do nothing.
+    #[cfg(all(target_arch = "x86_64", not(miri)))]
+    unsafe {
+        std::arch::asm!("prefetchw [{}]", in(reg) address.as_ptr(), options(nostack, preserves_flags, readonly));
+    }
+    // SAFETY: as above.
+    #[cfg(all(target_arch = "aarch64", not(miri)))]
+    unsafe {
+        std::arch::asm!("prfm pstl1keep, [{}]", in(reg) address.as_ptr(), options(nostack, preserves_flags, readonly));
+    }
+    #[cfg(any(miri, not(any(target_arch = "x86_64", target_arch = "aarch64"))))]
+    let _ = address;
+}
+
+/// Like [`fetch_to_write`], to be read soon.
+///
+/// # Real-time
+/// Wait-free; no syscall; at most one instruction, which waits for nothing.
+#[inline(always)]
+pub fn fetch_to_read(address: std::ptr::NonNull<u8>) {
+    #[cfg(all(target_arch = "x86_64", not(miri)))]
+    // SAFETY: a hint, which faults at no address.
+    unsafe {
+        std::arch::asm!("prefetcht0 [{}]", in(reg) address.as_ptr(), options(nostack, preserves_flags, readonly));
+    }
+    #[cfg(all(target_arch = "aarch64", not(miri)))]
+    // SAFETY: as above.
+    unsafe {
+        std::arch::asm!("prfm pldl1keep, [{}]", in(reg) address.as_ptr(), options(nostack, preserves_flags, readonly));
+    }
+    #[cfg(any(miri, not(any(target_arch = "x86_64", target_arch = "aarch64"))))]
+    let _ = address;
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -12,9 +12,11 @@
 //! - [`Words`] is memory for statistics that other processes may read ([`WordsFile`], [`ForeignWords`]).
 //! - [`shm`] has the files in /dev/shm that contain all of this workspace's shared memory; [`domain`] has their
 //!   location.
-//! - [`Caches`] are the processor's; [`copy_to_shared`] copies into what another core has read.
+//! - [`Caches`] are the processor's; [`copy_to_shared`] copies into what another core has read,
+//!   [`fetch_to_write`] and [`fetch_to_read`] fetch it before that.
 //! - [`fork`] keeps children of the process from its locks and shared memory.
-//! - [`PiMutex`] protects data that threads of different priorities use; [`FutexWord`] is a word to sleep on.
+//! - [`PiMutex`] protects data that threads of different priorities use; [`FutexWord`] is a word to sleep on; [`full_fence`] orders a
+//!   store before a load.
 //! - [`Patience`] limits the time of a polling loop.
 //! - [`at_exit`] calls a function when the process ends, even if other threads still run.
 //! - [`termination_signals`] are those that ask a process to end.
@@ -23,7 +25,7 @@
 //!   refuses a setting.
 //! - [`terminal`] escapes the control characters of what others wrote.
 //!
-//! Everything except [`clock`], [`copy_to_shared`], the use of [`Words`] and the use of the objects of [`latest`] is set-up: it allocates, reads files and
+//! Everything except [`clock`], [`copy_to_shared`], [`fetch_to_write`], [`fetch_to_read`], the use of [`Words`] and the use of the objects of [`latest`] and [`full_fence`] is set-up: it allocates, reads files and
 //! makes syscalls. No other crate of the workspace calls `sched_*` or `mlock*`.
 //!
 //! ```
@@ -62,6 +64,7 @@ mod enforcement;
 mod enforcer;
 mod error;
 mod exit;
+mod fence;
 mod futex;
 mod idle;
 mod latest;
@@ -86,12 +89,13 @@ pub mod shm;
 pub mod terminal;
 
 pub use budget::{BudgetTimer, OwnPriority, Refill, RemainingBudget};
-pub use caches::{Caches, copy_to_shared};
+pub use caches::{Caches, copy_to_shared, fetch_to_read, fetch_to_write};
 pub use core_time::{CoreMark, CoreTime};
 pub use cores::{CoreSet, affinity_of, current_affinity, set_affinity, set_affinity_of};
 pub use enforcement::{Enforcement, prove_enforcement, prove_enforcement_by};
 pub use error::RtError;
 pub use exit::{AtExit, at_exit, exempt_children};
+pub use fence::full_fence;
 pub use futex::FutexWord;
 pub use idle::IdleHold;
 pub use latest::{LatestReader, LatestWriter, latest};

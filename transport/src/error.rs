@@ -208,6 +208,16 @@ pub enum PublishError {
     Encode(#[from] EncodeError),
 }
 
+/// Why a burst was not published to its end: see [`Publisher::publish_many`](crate::Publisher::publish_many).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("{error} (the {published} messages before that one were published)")]
+pub struct BurstError<E = PublishError> {
+    /// How many messages were published: those before the one that was not.
+    pub published: usize,
+    /// Why that one was not.
+    pub error: E,
+}
+
 /// What was not sent, and why: the unchanged loan of a message, a request or a response. Nothing was sent to any
 /// endpoint.
 pub struct SendError<L, E = PublishError> {

@@ -52,7 +52,7 @@ mod sync;
 mod tests;
 mod topic;
 
-pub use error::{LoanError, PublishCdrError, PublishError, SendError, TakeError, TransportError};
+pub use error::{BurstError, LoanError, PublishCdrError, PublishError, SendError, TakeError, TransportError};
 pub use graph::domain::{MAX_DOMAIN, is_dead_domain, remove_dead_domain};
 pub use graph::entities::{
     Death, EndpointKind, GraphSnapshot, NodeInfo, NodeName, ServiceEndpoint, ServiceKind, TopicEndpoint,

@@ -576,3 +576,59 @@ fn a_backlog_is_taken_without_further_rings() {
     drop((publisher, subscription, seat, participant));
     clean(229);
 }
+
+#[test]
+fn a_burst_arrives_in_order_and_says_how_far_it_came() {
+    let participant = Participant::new(domain(145)).unwrap();
+    let counts = |numbers: std::ops::Range<u64>| numbers.map(|n| Count { n }).collect::<Vec<_>>();
+    let ends = |topic: &str, qos| {
+        let publisher = participant.create_publisher::<Count>(topic, qos, DEFAULT).unwrap();
+        (publisher, participant.create_subscription::<Count>(topic, qos, DEFAULT).unwrap())
+    };
+    // Beyond the queue, as messages published one by one: the oldest are overwritten, and counted.
+    let (publisher, subscription) = ends("/bursts", Qos::keep_last(4));
+    assert_eq!(publisher.publish_many(&[]), Ok(0));
+    assert!(!AsRef::<tautline_transport::RawSubscription>::as_ref(&subscription).has_samples());
+    assert_eq!(publisher.publish_many(&counts(0..3)), Ok(3));
+    assert_eq!(take_all(&subscription), [0, 1, 2]);
+    assert_eq!(publisher.publish_many(&counts(3..13)), Ok(10));
+    assert_eq!(take_all(&subscription), [9, 10, 11, 12]);
+    let counters = subscription.counters();
+    assert_eq!((counters.received(), counters.lost(), counters.max_queue()), (7, 6, 4));
+    // Nothing is overwritten where both keep all: those before the first for which there is no room were published.
+    let (publisher, subscription) = ends("/kept", Qos::keep_all(4));
+    let refused = publisher.publish_many(&counts(0..10)).unwrap_err();
+    assert_eq!((refused.published, refused.error), (4, PublishError::Full));
+    assert!(refused.to_string().ends_with("(the 4 messages before that one were published)"), "{refused}");
+    assert_eq!(take_all(&subscription), [0, 1, 2, 3]);
+    assert_eq!(publisher.publish_many(&counts(4..8)), Ok(4));
+    assert_eq!((take_all(&subscription), subscription.counters().lost()), (vec![4, 5, 6, 7], 0));
+}
+
+#[test]
+fn a_keep_all_subscription_takes_several_out_of_its_queue_at_a_time() {
+    let participant = Participant::new(domain(145)).unwrap();
+    let qos = Qos::keep_all(80);
+    let publisher = participant.create_publisher::<Count>("/at_a_time", qos, DEFAULT).unwrap();
+    // Twice: what a subscription had taken out of its queue when it went comes back, too.
+    for _ in 0..2 {
+        let subscription = participant.create_subscription::<Count>("/at_a_time", qos, DEFAULT).unwrap();
+        let raw: &tautline_transport::RawSubscription = subscription.as_ref();
+        let take = || subscription.try_take().unwrap().map(|sample| sample.n);
+        let publish = |n| publisher.publish(&Count { n });
+        (0..80).for_each(|n| publish(n).unwrap());
+        // An eighth of the depth: the publisher sees room when the last of them was given out.
+        for n in 0..7 {
+            assert_eq!((publish(80), take()), (Err(PublishError::Full), Some(n)));
+            assert_eq!((raw.has_samples(), raw.waiting()), (true, 79 - n));
+        }
+        assert_eq!((publish(80), take()), (Err(PublishError::Full), Some(7)));
+        (80..88).for_each(|n| publish(n).unwrap());
+        assert_eq!(publish(88), Err(PublishError::Full));
+        assert_eq!((8..88).find(|n| take() != Some(*n)), None);
+        assert_eq!((take(), raw.has_samples(), publish(88)), (None, false, Ok(())));
+        assert_eq!((take(), publish(89), publish(90), take()), (Some(88), Ok(()), Ok(()), Some(89)));
+        let counters = subscription.counters();
+        assert_eq!((counters.received(), counters.lost(), counters.max_queue()), (90, 0, 80));
+    }
+}

@@ -108,6 +108,7 @@ impl Setup<'_> {
                 whole,
                 topics,
                 subscribers,
+                processes: 0,
                 at_once,
                 times_sending: false,
                 other_core: self.plan.pin(if is_at_near { far } else { near }),

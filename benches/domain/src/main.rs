@@ -83,6 +83,10 @@ enum Experiment {
     Images,
     /// 10 to 200 subscriptions of a topic
     FanOut,
+    /// 10 to 200 subscriptions of a topic in as many processes, beside iceoryx2
+    Readers,
+    /// 200 topics of point clouds at 100 Hz, beside iceoryx2
+    Clouds,
 }
 
 struct Bench<'a> {
@@ -146,6 +150,8 @@ impl Bench<'_> {
             Experiment::Load => traffic::load(self),
             Experiment::Images => traffic::images(self),
             Experiment::FanOut => traffic::fan_out(self),
+            Experiment::Readers => traffic::readers(self),
+            Experiment::Clouds => traffic::clouds(self),
         }
     }
 }

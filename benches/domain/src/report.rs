@@ -101,6 +101,8 @@ fn heading(experiment: Experiment) -> &'static str {
         Experiment::Load => "# topics x 2 subscriptions x 100 Hz",
         Experiment::Images => "8 MB at 30 Hz to # subscriptions",
         Experiment::FanOut => "# subscriptions of one topic at 100 Hz",
+        Experiment::Readers => "# processes with a subscription each of one topic at 100 Hz",
+        Experiment::Clouds => "# topics of 64 KiB x 2 subscriptions x 100 Hz",
     }
 }
 

@@ -8,10 +8,10 @@ use crate::process::{self, Process};
 use crate::{Bench, Experiment, Result};
 use std::time::{Duration, Instant};
 use tautline_benches::systems::iceoryx;
-use tautline_benches::systems::tautline::{self, Frame8MiB, Frame64B};
+use tautline_benches::systems::tautline::{self, Frame8MiB, Frame64B, Frame64KiB};
 use tautline_exchange::{Exchange, Job, Line, Role, Way, to_the_last};
 use tautline_harness::Distribution;
-use tautline_harness::readings::Reading;
+use tautline_harness::readings::{Column, Reading};
 use tautline_rt::{CoreSet, set_affinity};
 
 /// How long a process may take to set itself up.
@@ -19,6 +19,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// How long what is under way may take to arrive.
 const DRAIN: Duration = Duration::from_millis(500);
 const SMALL_BYTES: usize = size_of::<Frame64B>();
+const CLOUD_BYTES: usize = size_of::<Frame64KiB>();
 const IMAGE_BYTES: usize = size_of::<Frame8MiB>();
 const MIB: f64 = 1048576.0;
 
@@ -90,6 +91,51 @@ pub fn fan_out(bench: &Bench<'_>) -> Result<Vec<Reading>> {
     Ok(rows)
 }
 
+/// One subscription per process, the send call beside iceoryx2's.
+pub fn readers(bench: &Bench<'_>) -> Result<Vec<Reading>> {
+    let sizes: &[usize] = if bench.quick { &[10, 100] } else { &[10, 100, 200] };
+    let mut rows = Vec::new();
+    for &size in sizes {
+        let flow = |system| bench.flow(Experiment::Readers, size, Flow { system, processes: size, ..SMALL });
+        rows.extend(beside_iceoryx(flow, PUBLISHING, [(Column::P50, TO_EACH), (Column::P99, UNKNOWN)])?);
+    }
+    Ok(rows)
+}
+
+/// Large payloads of which nobody copies, as many at once as an autonomous car has: the time until they are read beside iceoryx2's.
+pub fn clouds(bench: &Bench<'_>) -> Result<Vec<Reading>> {
+    let clouds = Flow { payload_bytes: CLOUD_BYTES, topics: 200, processes: 2, ..SMALL };
+    let flow = |system| bench.flow(Experiment::Clouds, clouds.topics, Flow { system, ..clouds });
+    beside_iceoryx(flow, OF_ONE, [(Column::P50, TWO_WAKES), (Column::P999, UNKNOWN)])
+}
+
+const PUBLISHING: &str = "publishing: loan, write a stamp, publish, wake";
+const OF_ONE: &str = "from before the loan until a subscription has read it";
+// Causes, if it takes longer.
+const TO_EACH: &str = "each sleeping process takes a futex wake, of either system";
+const TWO_WAKES: &str = "the sampler is woken first, and wakes the callback's thread";
+const UNKNOWN: &str = "no cause is known";
+
+/// Tautline's rows, of which those that say `what` shall be no more than iceoryx2's in these columns, or for this cause; and iceoryx2's.
+fn beside_iceoryx(
+    flow: impl Fn(&'static System) -> Result<Vec<Reading>>,
+    what: &str,
+    columns: [(Column, &str); 2],
+) -> Result<Vec<Reading>> {
+    let (ours, theirs) = (flow(&TAUTLINE)?, flow(&ICEORYX)?);
+    let is_it = |row: &&Reading| row.what == what;
+    let goals = columns.into_iter().filter_map(|(column, cause)| {
+        let (own, rival) = (ours.iter().find(is_it)?, theirs.iter().find(is_it)?);
+        let (number, limit) = (own.column(column)?, rival.column(column)?);
+        let size = own.size as usize;
+        let row =
+            Reading::of(own.experiment.clone(), size, format!("{what}, {}", column.name()), "x iceoryx2's");
+        Some(row.value(number / limit).at_most(1.0).note(if number > limit { cause } else { "" }))
+    });
+    let goals: Vec<_> = goals.collect();
+    Ok([goals, ours, theirs].concat())
+}
+
 impl<'a> Bench<'a> {
     fn flow(&self, experiment: Experiment, size: usize, flow: Flow) -> Result<Vec<Reading>> {
         let budget = Duration::from_secs(if self.quick { 1 } else { 10 });
@@ -135,12 +181,12 @@ impl<'a> Bench<'a> {
         }
         let row = |what: &str, unit| Reading::of(experiment, size, what, unit).system(flow.system.title);
         let of_latency = match experiment {
-            Experiment::Load => "from before the loan until a subscription has read it",
+            Experiment::Load | Experiment::Clouds => OF_ONE,
             _ => "from before the loan until the last subscription has read it",
         };
         let cpu_percent = 100.0 * cpu_ns as f64 / 1e9 / sent.seconds;
         Ok(vec![
-            row("publishing: loan, write a stamp, publish, wake", "µs").times(&publishing),
+            row(PUBLISHING, "µs").times(&publishing),
             row(of_latency, "µs").times(&latency),
             row("CPU of all processes", "% of a core").value(cpu_percent),
             row("memory of all processes (PSS)", "MiB").value(pss as f64 / MIB),
@@ -170,6 +216,7 @@ impl<'a> Bench<'a> {
                 mode: flow.system.mode.to_owned(),
                 topics: flow.topics,
                 subscribers: flow.subscribers,
+                processes: flow.processes,
                 times_sending: true,
                 ..Way::default()
             },
@@ -186,6 +233,7 @@ pub fn run(system: &str, job: &Job) -> Result<()> {
     match (system, job.payload_bytes) {
         ("iceoryx2", _) => iceoryx::flow(job),
         (_, SMALL_BYTES) => tautline::flow::<Frame64B>(job),
+        (_, CLOUD_BYTES) => tautline::flow::<Frame64KiB>(job),
         _ => tautline::flow::<Frame8MiB>(job),
     }
 }

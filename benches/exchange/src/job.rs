@@ -82,6 +82,9 @@ pub struct Way {
     pub topics: usize,
     /// Subscriptions of each topic in this process.
     pub subscribers: usize,
+    /// Processes with subscriptions, if there are more than some.
+    #[serde(default)]
+    pub processes: usize,
     /// For a flow at a rate: all topics get their message at the same instant, one after the other, as from one loop, instead of
     /// evenly over the period.
     pub at_once: bool,

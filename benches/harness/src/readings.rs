@@ -17,6 +17,7 @@ pub enum Column {
     P50,
     /// Of fewer than 100 times the longest.
     P99,
+    P999,
     Max,
 }
 
@@ -25,6 +26,7 @@ impl Column {
         match self {
             Column::P50 => "p50",
             Column::P99 => "p99",
+            Column::P999 => "p99.9",
             Column::Max => "max",
         }
     }
@@ -157,6 +159,7 @@ impl Reading {
         match column {
             Column::P50 => Some(self.p50),
             Column::P99 => self.p99,
+            Column::P999 => self.p999,
             Column::Max => self.max,
         }
     }

@@ -358,6 +358,11 @@ type Reader = Subscriber<Service, [u8], ()>;
 type Data = iceoryx2::service::port_factory::publish_subscribe::PortFactory<Service, [u8], ()>;
 type Event = iceoryx2::service::port_factory::event::PortFactory<Service>;
 
+/// How many subscribers a topic may have.
+fn readers(job: &Job) -> usize {
+    job.way.processes.max(16)
+}
+
 trait Open {
     fn topic(&self, job: &Job, name: &str) -> Result<Data>;
     fn event(&self, job: &Job, name: &str) -> Result<Event>;
@@ -376,14 +381,18 @@ impl Open for Node<Service> {
             _ => topic,
         };
         let topic = topic.subscriber_max_buffer_size(job.depth());
-        Ok(topic.max_publishers(1).max_subscribers(16).open_or_create()?)
+        Ok(topic
+            .max_publishers(1)
+            .max_subscribers(readers(job))
+            .max_nodes(readers(job) + 4)
+            .open_or_create()?)
     }
 
-    fn event(&self, _job: &Job, name: &str) -> Result<Event> {
+    fn event(&self, job: &Job, name: &str) -> Result<Event> {
         let name = ServiceName::new(&format!("{name}/event"))?;
         // Collecting events costs in proportion to the greatest id: 3 µs at the default of 255.
         let event = self.service_builder(&name).event().event_id_max_value(1);
-        Ok(event.max_notifiers(1).max_listeners(16).open_or_create()?)
+        Ok(event.max_notifiers(1).max_listeners(readers(job)).max_nodes(readers(job) + 4).open_or_create()?)
     }
 
     fn subscriber(&self, job: &Job, name: &str) -> Result<Reader> {

@@ -5,15 +5,16 @@
 //! bells and the first slots. Each further window has as many slots as all windows before it; it is separate memory, which is
 //! added when it is needed.
 
-use crate::hot::{Bell, BellBit, BellRouting, Flags, drain_bits, has_bits, mark_in};
-use crate::sync::{AtomicU32, AtomicU64, Ordering, fence};
+use crate::hot::{Bell, BellBit, BellRouting, Flags, Woken, drain_bits, has_bits, mark_in};
+use crate::sync::{AtomicU32, AtomicU64, Ordering};
 use crate::{ArenaId, DoorbellError, NEAR_SLOTS};
 use std::slice;
 use std::sync::OnceLock;
+use tautline_rt::full_fence;
 use tautline_rt::shm::Region;
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautbell");
-const VERSION: u32 = 6;
+const VERSION: u32 = 7;
 
 /// Number of windows of an arena, including the first one.
 pub const WINDOWS: usize = 12;
@@ -132,9 +133,15 @@ pub struct Arena {
     id: ArenaId,
     main: Region,
     windows: [OnceLock<Region>; WINDOWS],
+    /// The sampler's last wake by this process, and that of a callback thread.
+    woken: [Woken; 2],
 }
 
 impl Arena {
+    fn of(id: ArenaId, main: Region) -> Self {
+        Arena { id, main, windows: Default::default(), woken: [Woken::new(), Woken::new()] }
+    }
+
     /// Creates an arena in new memory, which is zero, at least [`MAIN_BYTES`] long, and starts at a
     /// multiple of 64 bytes.
     ///
@@ -143,7 +150,7 @@ impl Arena {
     pub fn create(id: ArenaId, main: Region) -> Self {
         assert!(main.len_bytes() >= MAIN_BYTES, "too short for an arena");
         assert!(main.start().cast::<Main>().is_aligned(), "not aligned to what it holds");
-        let arena = Arena { id, main, windows: Default::default() };
+        let arena = Arena::of(id, main);
         arena.main().version.store(VERSION, Ordering::Relaxed);
         // Release: pairs with the Acquire in `open`; the version is there when the magic is.
         arena.main().magic.store(MAGIC, Ordering::Release);
@@ -158,7 +165,7 @@ impl Arena {
         if main.len_bytes() < MAIN_BYTES {
             return Err(DoorbellError::Version);
         }
-        let arena = Arena { id, main, windows: Default::default() };
+        let arena = Arena::of(id, main);
         let main = arena.main();
         if main.magic.load(Ordering::Acquire) != MAGIC || main.version.load(Ordering::Relaxed) != VERSION {
             return Err(DoorbellError::Version);
@@ -246,8 +253,8 @@ impl Arena {
     /// Wait-free; no allocation; one futex wake if the sampler sleeps, else no syscall.
     pub fn ring(&self, slot: usize) {
         self.mark(slot);
-        fence(Ordering::SeqCst);
-        self.bell().wake_if_sleeping();
+        full_fence();
+        self.wake(Sleeper::Sampler);
     }
 
     /// The first step of [`ring`](Self::ring), also for several slots. [`wake`](Self::wake) must follow, after a
@@ -303,16 +310,17 @@ impl Arena {
         })
     }
 
-    /// Wakes the thread that sleeps on a marked bell.
+    /// Wakes the thread that sleeps on a marked bell, unless this process has woken it from that sleep.
     ///
     /// # Real-time
     /// Wait-free; at most one futex wake.
     pub fn wake(&self, sleeper: Sleeper) {
+        let [sampler, threads] = &self.woken;
         match sleeper {
-            Sleeper::Sampler => self.bell().wake_if_sleeping(),
+            Sleeper::Sampler => self.bell().wake_if_sleeping(0, sampler),
             Sleeper::Thread(thread) => {
                 if let Some(bell) = self.thread_bell(thread) {
-                    bell.wake_if_sleeping();
+                    bell.wake_if_sleeping(thread, threads);
                 }
             }
         }
@@ -336,7 +344,7 @@ impl Arena {
     /// Wait-free; no allocation; at most one futex wake, and none if its events are not monitored.
     pub fn ring_events(&self, slot: usize) {
         // What happened is visible before the word is read: whoever sets it either is rung or sees it.
-        fence(Ordering::SeqCst);
+        full_fence();
         let events = self.words(slot).map_or(0, |words| words.events.load(Ordering::Relaxed));
         if events != 0 {
             self.ring(events as usize - 1);
@@ -347,7 +355,7 @@ impl Arena {
     pub fn set_events(&self, slot: usize, events: usize) {
         if let Some(words) = self.words(slot) {
             words.events.store(events as u32 + 1, Ordering::Relaxed);
-            fence(Ordering::SeqCst);
+            full_fence();
         }
     }
 
@@ -443,6 +451,24 @@ mod tests {
         arena.add_window(WINDOWS, memory(64));
         arena.add_window(1, memory(64));
         assert!(!arena.has(NEAR_SLOTS), "too short");
+    }
+
+    #[test]
+    fn a_process_wakes_a_sleeper_once() {
+        let arena = Arena::create(ArenaId(7), memory(MAIN_BYTES));
+        let threads = [Sleeper::Thread(0), Sleeper::Thread(255)];
+        for sleeper in threads.into_iter().chain([Sleeper::Sampler, Sleeper::Sampler]) {
+            let ring = || match sleeper {
+                Sleeper::Sampler => arena.ring(3),
+                thread => arena.wake(thread),
+            };
+            assert_eq!(arena.count_wakes(sleeper, || (0..3).for_each(|_| ring())), 1, "{sleeper:?}");
+            assert_eq!(arena.count_wakes(sleeper, || ()), 0);
+        }
+        // Others rely on no wake of this process.
+        let other = Arena::open(ArenaId(7), arena.main.clone()).unwrap();
+        let both = || [&arena, &other, &arena, &other].into_iter().for_each(|arena| arena.ring(3));
+        assert_eq!(arena.count_wakes(Sleeper::Sampler, both), 2);
     }
 
     #[test]

@@ -12,7 +12,9 @@
 //! The fences order each side's store before its load: either the ringer sees SLEEPING and wakes, or the sampler sees
 //! the bit and does not sleep. The count in step 3 changes the state, so that a sampler between its steps 2 and 3
 //! does not fall asleep. Only the sampler clears SLEEPING: a ringer never relies on another ringer, which may have
-//! been preempted or killed at any point before its wake.
+//! been preempted or killed at any point before its wake. But a process need not wake the sampler twice from one sleep: sleeps are counted,
+//! and each process [remembers](Woken) the one from which a wake of its own, which is over, has woken the sampler. While the count is
+//! that one, the sampler still has its step 2 before it.
 //!
 //! Slots beyond the first [`NEAR_SLOTS`](crate::NEAR_SLOTS) lie in further windows, each with its own bitmap: step 1 then sets
 //! the bit there, and after that the window's bit here.
@@ -20,8 +22,8 @@
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
 use crate::NEAR_SLOTS;
-use crate::sync::{AtomicU32, AtomicU64, Ordering, fence};
-use tautline_rt::FutexWord;
+use crate::sync::{AtomicU32, AtomicU64, Ordering};
+use tautline_rt::{FutexWord, full_fence};
 
 /// The words of a sampler's bell.
 const SAMPLED: usize = NEAR_SLOTS / 64;
@@ -36,7 +38,23 @@ pub(crate) struct Bell<const WORDS: usize = SAMPLED> {
     state: FutexWord,
     /// One bit for each window in which something is pending.
     far: AtomicU32,
+    /// How often the sampler has begun to sleep.
+    sleeps: AtomicU64,
     pending: Pending<WORDS>,
+}
+
+/// From which sleep on a bell this process has woken the sampler last. One may serve several bells, each with a number of its own.
+#[derive(Debug)]
+pub(crate) struct Woken(AtomicU64);
+
+impl Woken {
+    pub(crate) fn new() -> Self {
+        Woken(AtomicU64::new(0))
+    }
+
+    fn key(bell: usize, sleep: u64) -> u64 {
+        (bell as u64) << 48 | sleep & ((1 << 48) - 1)
+    }
 }
 
 #[repr(C, align(64))]
@@ -47,13 +65,14 @@ impl<const WORDS: usize> Bell<WORDS> {
     ///
     /// # Real-time
     /// Wait-free; no allocation; one futex wake if the sampler sleeps, else no syscall.
+    #[cfg(taut_loom)]
     pub(crate) fn ring(&self, slot: usize) {
         self.mark(slot);
-        fence(Ordering::SeqCst);
-        self.wake_if_sleeping();
+        full_fence();
+        self.wake_if_sleeping(0, &Woken::new());
     }
 
-    /// The first step of [`ring`](Self::ring), of several slots maybe: a sequentially consistent fence and
+    /// The first step of a ring, of several slots maybe: a sequentially consistent fence and
     /// [`wake_if_sleeping`](Self::wake_if_sleeping) follow.
     ///
     /// # Real-time
@@ -71,19 +90,32 @@ impl<const WORDS: usize> Bell<WORDS> {
         self.far.fetch_or(1 << (window % u32::BITS as usize), Ordering::Release);
     }
 
-    /// The last step of a ring.
+    /// The last step of a ring, of the bell that is the number `bell` of those that `woken` serves.
     ///
     /// # Real-time
-    /// Wait-free; one futex wake if the sampler sleeps, else no syscall.
-    pub(crate) fn wake_if_sleeping(&self) {
-        if self.state.0.load(Ordering::Relaxed) & SLEEPING != 0 {
-            self.wake();
+    /// Wait-free; one futex wake if the sampler sleeps and this process has not woken it from that sleep, else no syscall.
+    pub(crate) fn wake_if_sleeping(&self, bell: usize, woken: &Woken) {
+        if self.state.0.load(Ordering::Relaxed) & SLEEPING == 0 {
+            return;
+        }
+        // Acquire: pairs with the Release in `sleep`; the sleep before that one is over when the state is read again.
+        let sleep = Woken::key(bell, self.sleeps.load(Ordering::Acquire));
+        // Acquire: pairs with the Release below; that wake is over.
+        if woken.0.load(Ordering::Acquire) == sleep {
+            return;
+        }
+        let was_asleep = self.wake();
+        // Else it was awake, or had begun another sleep.
+        if was_asleep && Woken::key(bell, self.sleeps.load(Ordering::Relaxed)) == sleep {
+            woken.0.store(sleep, Ordering::Release);
         }
     }
 
-    fn wake(&self) {
-        self.state.0.fetch_add(ONE_RING, Ordering::AcqRel);
+    /// Wakes the sampler. False if it did not sleep any more.
+    fn wake(&self) -> bool {
+        let state = self.state.0.fetch_add(ONE_RING, Ordering::AcqRel);
         self.state.wake();
+        state & SLEEPING != 0
     }
 
     /// Takes every pending slot and hands it to `each`, lowest first; returns how many there were. Those in windows are taken by
@@ -130,12 +162,19 @@ impl<const WORDS: usize> Bell<WORDS> {
     /// # Real-time
     /// At most one syscall; no allocation.
     pub(crate) fn sleep(&self, deadline_ns: Option<u64>) {
-        let asleep = self.state.0.fetch_or(SLEEPING, Ordering::AcqRel) | SLEEPING;
-        fence(Ordering::SeqCst);
+        let asleep = self.fall_asleep();
+        full_fence();
         if !self.is_pending() {
             self.state.wait(asleep, deadline_ns);
         }
         self.state.0.fetch_and(!SLEEPING, Ordering::AcqRel);
+    }
+
+    /// The first step of a sleep: the state that it leaves.
+    fn fall_asleep(&self) -> u32 {
+        // Nobody else writes it. Release: who sees it sees that the sleep before is over.
+        self.sleeps.store(self.sleeps.load(Ordering::Relaxed).wrapping_add(1), Ordering::Release);
+        self.state.0.fetch_or(SLEEPING, Ordering::AcqRel) | SLEEPING
     }
 
     /// Finishes the ring of a process that was killed between setting the bit and waking. Waking who is awake is
@@ -246,7 +285,7 @@ impl Flags {
     /// Wait-free: a load, a store and a fence.
     pub fn set_quiet(&self, is_quiet: bool) {
         self.put(Self::QUIET, is_quiet);
-        fence(Ordering::SeqCst);
+        full_fence();
     }
 
     /// Sets whether publishers of the subscription's own arena need not ring, because whoever publishes with one looks into the
@@ -256,7 +295,7 @@ impl Flags {
     /// Wait-free: a load, a store and a fence.
     pub fn set_own_look(&self, is_looked: bool) {
         self.put(Self::OWN_LOOK, is_looked);
-        fence(Ordering::SeqCst);
+        full_fence();
     }
 
     /// Whether a publisher, of the slot's own arena or of another one, must ring. Call it after the sample was queued, with a
@@ -282,7 +321,7 @@ impl Flags {
     /// Wait-free: a load, a store and a fence.
     pub fn stop_draining(&self) {
         self.put(Self::DRAINING, false);
-        fence(Ordering::SeqCst);
+        full_fence();
     }
 }
 
@@ -316,7 +355,7 @@ impl BellRouting {
     pub(crate) fn set(&self, bell_bit: Option<BellBit>) {
         let place = bell_bit.map_or(0, |bell_bit| (bell_bit.thread * 64 + bell_bit.bit) as u32 + 1);
         self.0.store(place, Ordering::Relaxed);
-        fence(Ordering::SeqCst);
+        full_fence();
     }
 }
 
@@ -324,7 +363,7 @@ impl BellRouting {
 impl<const WORDS: usize> Bell<WORDS> {
     /// How often whoever sleeps here is woken by what happens `meanwhile`.
     pub(crate) fn count_wakes(&self, meanwhile: impl FnOnce()) -> u32 {
-        let before = self.state.0.fetch_or(SLEEPING, Ordering::AcqRel) | SLEEPING;
+        let before = self.fall_asleep();
         meanwhile();
         let after = self.state.0.fetch_and(!SLEEPING, Ordering::AcqRel);
         after.wrapping_sub(before) / ONE_RING
@@ -352,6 +391,7 @@ impl<const WORDS: usize> Bell<WORDS> {
         Bell {
             state: FutexWord::new(0),
             far: AtomicU32::new(0),
+            sleeps: AtomicU64::new(0),
             pending: Pending(core::array::from_fn(|_| AtomicU64::new(0))),
         }
     }
@@ -360,7 +400,7 @@ impl<const WORDS: usize> Bell<WORDS> {
     pub(crate) fn ring_and_die(&self, slot: usize, before_wake: bool) {
         self.pending.0[slot / 64].fetch_or(1 << (slot % 64), Ordering::Release);
         if before_wake {
-            fence(Ordering::SeqCst);
+            full_fence();
             self.state.0.fetch_add(ONE_RING, Ordering::AcqRel);
         }
     }

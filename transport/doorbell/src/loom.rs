@@ -2,7 +2,7 @@
 //! Every interleaving of ringers and a sampler: no ring is lost, whatever else the memory model allows.
 //! Run by `cargo xtask test` (`RUSTFLAGS="--cfg taut_loom" cargo test -p tautline-doorbell --lib loom`).
 
-use crate::hot::{Bell, BellBit, BellRouting, Flags, drain_bits, mark_in};
+use crate::hot::{Bell, BellBit, BellRouting, Flags, Woken, drain_bits, mark_in};
 use crate::places::FreePlaces;
 use crate::sync::AtomicU64;
 use crate::{Signal, Wakeable};
@@ -89,11 +89,51 @@ fn loom_slots_that_are_marked_together_need_one_wake() {
                 bell.mark(0);
                 bell.mark(1);
                 fence(Ordering::SeqCst);
-                bell.wake_if_sleeping();
+                bell.wake_if_sleeping(0, &Woken::new());
             })
         };
         sample_until(&bell, 0b11);
         ringer.join().unwrap();
+    });
+}
+
+/// Rings as a process does that remembers from which sleep it has woken the sampler.
+fn ring(bell: &Bell<1>, slot: usize, woken: &Woken) {
+    bell.mark(slot);
+    fence(Ordering::SeqCst);
+    bell.wake_if_sleeping(0, woken);
+}
+
+#[test]
+fn loom_a_process_that_has_woken_the_sampler_need_not_do_so_again() {
+    // The sampler may have run and begun another sleep between the two rings, or between a ring's look at the state and its wake.
+    model(|| {
+        let bell = Arc::new(Bell::<1>::new());
+        let ringer = {
+            let bell = bell.clone();
+            thread::spawn(move || {
+                let woken = Woken::new();
+                ring(&bell, 0, &woken);
+                ring(&bell, 1, &woken);
+            })
+        };
+        sample_until(&bell, 0b11);
+        ringer.join().unwrap();
+    });
+}
+
+#[test]
+fn loom_threads_that_share_a_wake_do_not_rely_on_one_that_is_not_over() {
+    model(|| {
+        let (bell, woken) = (Arc::new(Bell::<1>::new()), Arc::new(Woken::new()));
+        let ringers = [0usize, 1].map(|slot| {
+            let (bell, woken) = (bell.clone(), woken.clone());
+            thread::spawn(move || ring(&bell, slot, &woken))
+        });
+        sample_until(&bell, 0b11);
+        for ringer in ringers {
+            ringer.join().unwrap();
+        }
     });
 }
 
@@ -193,7 +233,7 @@ fn loom_a_ring_in_a_window_is_never_lost() {
                 mark_in(&window[..], slot);
                 bell.mark_window(3);
                 fence(Ordering::SeqCst);
-                bell.wake_if_sleeping();
+                bell.wake_if_sleeping(0, &Woken::new());
             })
         });
         let mut seen = 0u64;

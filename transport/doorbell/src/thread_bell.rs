@@ -7,13 +7,14 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use crate::arena::THREADS;
+use crate::arena::{Sleeper, THREADS};
 use crate::hot::{Bell, BellBit};
 use crate::{Doorbell, DoorbellError, Slot};
 use core::time::Duration;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
+use tautline_rt::full_fence;
 
 /// The bit of wakes that come from no publisher.
 const OTHERS: usize = 63;
@@ -58,7 +59,9 @@ impl ThreadBell {
     /// Wait-free; no allocation; at most one futex wake.
     pub fn wake(&self) {
         if let Some(bell) = self.bell() {
-            bell.ring(OTHERS);
+            bell.mark(OTHERS);
+            full_fence();
+            self.doorbell.arena().wake(Sleeper::Thread(self.thread));
         }
     }
 

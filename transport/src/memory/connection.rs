@@ -18,6 +18,7 @@ use std::io;
 use std::ptr::NonNull;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use tautline_rt::full_fence;
 use tautline_rt::shm::Mapping;
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautcon1");
@@ -34,7 +35,7 @@ pub(crate) enum ReaderState {
     Closed = 2,
 }
 
-/// The block, without the memory of its queues. Three cache lines of words: what is fixed, the publisher's, the subscription's.
+/// The block, without the memory of its queues. Cache lines: what is fixed, the publisher's words, the subscription's, and each queue.
 #[repr(C, align(64))]
 pub(crate) struct Block {
     magic: AtomicU64,
@@ -45,8 +46,12 @@ pub(crate) struct Block {
     pub(crate) out: Out,
     pub(crate) back: Back,
     submitted: RelocatableSafelyOverflowingIndexQueue,
-    returned: RelocatableIndexQueue,
+    returned: Returned,
 }
+
+/// On a cache line of its own: a publisher that takes samples back disturbs no subscription that polls for the next one.
+#[repr(C, align(64))]
+struct Returned(RelocatableIndexQueue);
 
 /// Written by the publisher.
 #[repr(C, align(64))]
@@ -57,7 +62,6 @@ pub(crate) struct Out {
     pub(crate) sent: AtomicU64,
     /// When the publisher last showed that it is alive.
     pub(crate) alive_ns: AtomicU64,
-    pub(crate) room: RoomRequest,
     served: AtomicU32,
     /// Samples that made way for newer ones before they were taken.
     pub(crate) overwritten: AtomicU64,
@@ -77,7 +81,7 @@ impl RoomRequest {
     pub(crate) fn request(&self, is_full: impl FnOnce() -> bool) -> bool {
         self.0.store(1, Ordering::Relaxed);
         // Pairs with the fence in `take`: one side sees what the other has written before.
-        sync::fence(Ordering::SeqCst);
+        full_fence();
         is_full()
     }
 
@@ -86,7 +90,7 @@ impl RoomRequest {
     /// # Real-time
     /// Wait-free; no syscall.
     pub(crate) fn take(&self) -> bool {
-        sync::fence(Ordering::SeqCst);
+        full_fence();
         self.0.load(Ordering::Relaxed) != 0 && self.0.swap(0, Ordering::Relaxed) != 0
     }
 }
@@ -103,7 +107,7 @@ impl Out {
     }
 }
 
-/// Written by the subscription.
+/// Written by the subscription, but for the request.
 #[repr(C, align(64))]
 pub(crate) struct Back {
     /// The number of the last sample that was taken.
@@ -111,6 +115,7 @@ pub(crate) struct Back {
     state: AtomicU32,
     /// The publisher's segments of samples that are mapped: how often they had changed.
     pub(crate) mapped: AtomicU32,
+    pub(crate) room: RoomRequest,
 }
 
 impl Back {
@@ -147,14 +152,17 @@ pub(crate) struct Shape {
     pub(crate) is_observer: bool,
 }
 
+/// How many samples a publisher sends until it looks for those that the subscription has returned. Each look fetches a cache line from the
+/// subscription's core.
+pub(crate) const UNLOOKED: usize = 8;
+
 pub(crate) const BLOCK_BYTES: usize = size_of::<Block>();
 const WORD_BYTES: usize = size_of::<u64>();
 
 impl Shape {
-    /// The subscription may take and return all that is queued, and what the publisher sends, before that one looks: it does with
-    /// each loan.
+    /// The subscription may take and return all that is queued, and what the publisher sends, before that one [looks](UNLOOKED).
     pub(crate) fn returned_len(self) -> usize {
-        self.depth + self.held + self.loans + 1
+        self.depth + self.held + self.loans + UNLOOKED
     }
 
     fn submitted_bytes(self) -> usize {
@@ -290,7 +298,7 @@ impl Connection {
     /// For the publisher's end, by one thread at a time.
     pub(crate) unsafe fn take_back(&self) -> Option<u64> {
         // SAFETY: as above.
-        unsafe { self.block().returned.pop() }
+        unsafe { self.block().returned.0.pop() }
     }
 
     /// Takes the oldest sample that was submitted.
@@ -314,7 +322,15 @@ impl Connection {
     /// For the subscription's end, by one thread at a time.
     pub(crate) unsafe fn give_back(&self, chunk: u64) -> bool {
         // SAFETY: as above.
-        unsafe { self.block().returned.push(chunk) }
+        unsafe { self.block().returned.0.push(chunk) }
+    }
+
+    /// How many samples are queued.
+    ///
+    /// # Real-time
+    /// Lock-free: reads again if the publisher has just submitted one; no syscall.
+    pub(crate) fn queued(&self) -> usize {
+        self.block().submitted.len()
     }
 
     /// Whether nothing is queued, as far as can be seen at once.
@@ -355,16 +371,20 @@ impl Template {
                     start: AtomicU64::new(0),
                     sent: AtomicU64::new(0),
                     alive_ns: AtomicU64::new(0),
-                    room: RoomRequest::default(),
                     served: AtomicU32::new(0),
                     overwritten: AtomicU64::new(0),
                 },
-                back: Back { taken: AtomicU64::new(0), state: AtomicU32::new(0), mapped: AtomicU32::new(0) },
+                back: Back {
+                    taken: AtomicU64::new(0),
+                    state: AtomicU32::new(0),
+                    mapped: AtomicU32::new(0),
+                    room: RoomRequest::default(),
+                },
                 submitted: RelocatableSafelyOverflowingIndexQueue::new_uninit(shape.depth),
-                returned: RelocatableIndexQueue::new_uninit(shape.returned_len()),
+                returned: Returned(RelocatableIndexQueue::new_uninit(shape.returned_len())),
             });
             let block = &mut *block.as_ptr();
-            block.submitted.init(&bump).is_ok() && block.returned.init(&bump).is_ok()
+            block.submitted.init(&bump).is_ok() && block.returned.0.init(&bump).is_ok()
         };
         assert!(
             made && bump.used_space() == shape.queues_bytes(),

@@ -40,13 +40,31 @@ impl FreeList {
     /// # Real-time
     /// Wait-free; no syscall.
     pub(crate) fn take(&self) -> Option<u32> {
-        let (waiting, others) =
-            (self.waiting_len.load(Ordering::Relaxed), self.others_len.load(Ordering::Relaxed));
-        if others > 0 && (waiting < self.waiting.len() || self.waiting.is_empty()) {
-            self.others_len.store(others - 1, Ordering::Relaxed);
-            return Some(self.others.get(others - 1)?.load(Ordering::Relaxed));
+        if let Some(last) = self.last_of_others() {
+            self.others_len.store(last, Ordering::Relaxed);
+            return Some(self.others.get(last)?.load(Ordering::Relaxed));
         }
-        self.take_waiting(waiting)
+        self.take_waiting(self.waiting_len.load(Ordering::Relaxed))
+    }
+
+    /// What is taken next, if nothing is freed before.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub(crate) fn next(&self) -> Option<u32> {
+        let place = match self.last_of_others() {
+            Some(last) => self.others.get(last),
+            None if self.is_empty() => None,
+            None => self.waiting.get(self.first.load(Ordering::Relaxed)),
+        };
+        Some(place?.load(Ordering::Relaxed))
+    }
+
+    /// The place of the next one, if it is not one that waits.
+    fn last_of_others(&self) -> Option<usize> {
+        let waiting = self.waiting_len.load(Ordering::Relaxed);
+        let is_others_turn = waiting < self.waiting.len() || self.waiting.is_empty();
+        self.others_len.load(Ordering::Relaxed).checked_sub(1).filter(|_| is_others_turn)
     }
 
     fn take_waiting(&self, waiting: usize) -> Option<u32> {
@@ -156,8 +174,12 @@ mod tests {
             let mut taken = Vec::new();
             for _ in 0..500 {
                 if random.random() {
+                    let next = list.next();
                     match list.take() {
-                        Some(sample) => taken.push(sample),
+                        Some(sample) => {
+                            assert_eq!(next, Some(sample));
+                            taken.push(sample);
+                        }
                         None => assert_eq!(taken.len(), samples as usize),
                     }
                 } else if !taken.is_empty() {

@@ -15,6 +15,7 @@ use crate::memory::sizes::SAMPLE_ALIGNMENT;
 use iceoryx2_cal::shm_allocator::{PointerOffset, SegmentId};
 use std::ptr::NonNull;
 use std::sync::Arc;
+use tautline_rt::fetch_to_write;
 use tautline_rt::shm::Mapping;
 
 /// Segments of a publisher at most: what [`PointerOffset`] can tell apart, and fits into a publisher's head.
@@ -232,6 +233,20 @@ impl Pool {
         let index = word as usize & (MAX_SAMPLES - 1);
         segment.references.get(index)?.begin();
         Some((segment, index))
+    }
+
+    /// Has the cache fetch what is written first of the sample that is taken next, while its reader does not use it any more and the
+    /// publisher does something else.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub(crate) fn fetch_next(&self) {
+        let Some(word) = self.free.as_ref().and_then(FreeList::next) else { return };
+        let Some(Some(segment)) = self.segments.get((word >> INDEX_BITS) as usize) else { return };
+        let header = segment.header(word as usize & (MAX_SAMPLES - 1)).cast::<u8>();
+        fetch_to_write(header);
+        // SAFETY: a sample is longer than its header.
+        fetch_to_write(unsafe { header.byte_add(HEADER_BYTES) });
     }
 
     /// One reference less to a sample. With the last one the sample is free, and is listed if this is the publishing thread's.

@@ -7,7 +7,7 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use crate::error::{LoanError, PublishError, SendError};
+use crate::error::{BurstError, LoanError, PublishError, SendError};
 use crate::memory::header::{Gid, MessageInfo, NEVER, SampleHeader, SampleKind};
 use crate::memory::pool::Segment;
 use crate::memory::sizes::{padded, sample_bytes};
@@ -18,17 +18,11 @@ use core::future::poll_fn;
 use core::mem::ManuallyDrop;
 use core::ops::{Deref, DerefMut};
 use core::ptr::NonNull;
-use core::sync::atomic::{Ordering, fence};
+use core::sync::atomic::Ordering;
 use core::task::Poll;
 use tautline_doorbell::ActivityKind;
 use tautline_rt::clock::{monotonic_ns, wall_ns};
-use tautline_rt::copy_to_shared;
-
-/// How many samples of a subscription a loan takes back at most, unless no other is free. One more than a publication adds: what is
-/// returned at once, as by a recorder, is spread over the next loans, and yet no more is out than `depth`, `held` and `loans` together. For
-/// a loan that takes back two leaves fewer samples out and loaned than it found, and after one that takes back fewer only what is queued
-/// or held is out.
-const TAKEN_BACK: usize = 2;
+use tautline_rt::{copy_to_shared, full_fence};
 
 /// A body to write in place: `&mut [u8]` in shared memory, at an address that is a multiple of 8. Dropping it returns
 /// the memory without sending.
@@ -180,15 +174,64 @@ impl RawPublisher {
         loan.publish().map_err(PublishError::from)
     }
 
+    /// Copies each body into a loan and publishes it, in this order, and rings each subscription once, when all are queued or one was not
+    /// published. What is published so to a keep-last subscription beyond its depth overwrites the oldest.
+    ///
+    /// # Real-time
+    /// As [`publish`](Self::publish) for each body, but with one fence and one ring for all.
+    ///
+    /// # Errors
+    /// [`BurstError`]: the bodies before that one were published.
+    pub fn publish_many<'b>(
+        &self,
+        bodies: impl IntoIterator<Item = &'b [u8]>,
+    ) -> Result<usize, BurstError<PublishError>> {
+        self.publish_each(bodies, |body| {
+            let mut loan = self.loan(body.len())?;
+            copy_to_shared(&mut loan, body);
+            Ok(loan)
+        })
+    }
+
+    /// Publishes what `loan` makes of each message, and rings at the end.
+    pub(crate) fn publish_each<'p, M, E: From<PublishError>>(
+        &'p self,
+        messages: impl IntoIterator<Item = M>,
+        mut loan: impl FnMut(M) -> Result<RawLoan<'p>, E>,
+    ) -> Result<usize, BurstError<E>> {
+        // Rung also if what is called here panics.
+        let mut burst = Burst { publisher: self, must_ring: false };
+        let mut published = 0;
+        for message in messages {
+            let sent = loan(message).and_then(|loan| {
+                let sent = self.queue(loan, Sending::of(Stamp::Now));
+                sent.map_err(|unsent| E::from(unsent.error))
+            });
+            burst.must_ring |= sent.map_err(|error| BurstError { published, error })?;
+            self.publish_state.borrow().table().pool.fetch_next();
+            published += 1;
+        }
+        Ok(published)
+    }
+
     /// Publishes a loan. See [`RawLoan::publish`].
     pub(crate) fn publish_loan<'p>(
         &'p self,
         loan: RawLoan<'p>,
         sending: Sending,
     ) -> Result<(), SendError<RawLoan<'p>>> {
+        if self.queue(loan, sending)? {
+            self.ring(sending.to);
+        }
+        self.publish_state.borrow().table().pool.fetch_next();
+        Ok(())
+    }
+
+    /// Submits a loan to each subscription, which is to be [rung](Self::ring), unless it returns false: then nothing was sent.
+    fn queue<'p>(&'p self, loan: RawLoan<'p>, sending: Sending) -> Result<bool, SendError<RawLoan<'p>>> {
         if self.gate.as_ref().is_some_and(|gate| !gate.is_open()) {
             self.counters.silenced.fetch_add(1, Ordering::Relaxed);
-            return Ok(());
+            return Ok(false);
         }
         let core = &*self.core;
         let mut publish_state = self.publish_state.borrow_mut();
@@ -266,14 +309,20 @@ impl RawPublisher {
         // Release: pairs with the Acquire of who sets up a late joiner; what is kept is kept.
         core.published.store(publish_state.sequence_number, Ordering::Release);
         core.traffic.note(len_bytes, now_ns);
-        // The sample is queued before the flags are read and the bells are rung: a subscription either is rung, or looks into its queue
-        // after this. And a late joiner that has been set up meanwhile either was given this sample, or gets it here.
-        fence(Ordering::SeqCst);
-        if core.history.is_some() {
-            publish_state.refresh(core.history.as_ref());
+        Ok(true)
+    }
+
+    /// Rings those that samples were [queued](Self::queue) for.
+    fn ring(&self, to: Option<Gid>) {
+        let history = self.core.history.as_ref();
+        let mut publish_state = self.publish_state.borrow_mut();
+        // The samples are queued before the flags are read and the bells are rung: a subscription either is rung, or looks into its queue
+        // after this. And a late joiner that has been set up meanwhile either was given these samples, or gets them here.
+        full_fence();
+        if history.is_some() {
+            publish_state.refresh(history);
         }
-        publish_state.ring(sending.to);
-        Ok(())
+        publish_state.ring(to);
     }
 
     /// Claims the memory of queues that one more sample needs. False if there is none.
@@ -341,18 +390,36 @@ impl RawPublisher {
     }
 }
 
+/// Samples that are published one after the other.
+struct Burst<'p> {
+    publisher: &'p RawPublisher,
+    /// Some are queued.
+    must_ring: bool,
+}
+
+impl Drop for Burst<'_> {
+    /// # Real-time
+    /// As the end of [`RawLoan::publish`].
+    fn drop(&mut self) {
+        if self.must_ring {
+            self.publisher.ring(None);
+        }
+    }
+}
+
 /// A free sample of the size that is loaned.
 fn take(publish_state: &PublishState) -> Option<(NonNull<Segment>, usize)> {
     let (segment, index) = publish_state.table().pool.take()?;
     Some((NonNull::from(segment), index))
 }
 
-/// The same; before that, subscriptions return samples that they have taken: all of them only if no other is free. What setup code has freed
-/// is looked for last.
+/// The same; before that, subscriptions return samples that they have taken: all of them only if no other is free. Else twice as many as were
+/// loaned meanwhile: what is returned at once, as by a recorder, is spread over some loans, and yet no more is out than the queues have room
+/// for. What setup code has freed is looked for last.
 fn take_returned(publish_state: &mut PublishState) -> Option<(NonNull<Segment>, usize)> {
-    publish_state.reclaim(TAKEN_BACK);
+    publish_state.reclaim_some();
     take(publish_state).or_else(|| {
-        publish_state.reclaim(usize::MAX);
+        publish_state.reclaim_all();
         publish_state.table().pool.list_free();
         take(publish_state)
     })
@@ -360,24 +427,10 @@ fn take_returned(publish_state: &mut PublishState) -> Option<(NonNull<Segment>, 
 
 /// Whether each keep-all subscription can queue one more. Only this publisher fills its queues, so room stays room.
 fn has_room(publish_state: &PublishState, sending: Sending) -> bool {
-    for sender in publish_state.table().receiving(sending.to).filter(|sender| sender.keeps_all) {
-        let block = sender.block();
-        let full = || {
-            let sent = block.out.sent.load(Ordering::Relaxed);
-            // A queue that nothing was put into yet has taken nothing either.
-            let taken = block.back.taken.load(Ordering::Acquire).max(sender.before());
-            sent.saturating_sub(taken) >= sender.depth && sent != 0
-        };
-        if full() {
-            if sending.when_full == WhenFull::Leave {
-                return false;
-            }
-            if block.out.room.request(full) {
-                return false;
-            }
-        }
-    }
-    true
+    let is_asked = sending.when_full == WhenFull::Ask;
+    // SAFETY: they are live, so their sending halves are this thread's.
+    let has_room = |sender: &ReaderChannel| unsafe { sender.has_room(is_asked) };
+    publish_state.table().receiving(sending.to).filter(|sender| sender.keeps_all).all(has_room)
 }
 
 impl<'p> RawLoan<'p> {

@@ -282,21 +282,64 @@ mod tests {
     fn what_is_returned_at_once_is_taken_back_over_the_next_loans() {
         crate::tests::isolated();
         let participant = Participant::new(7).unwrap();
-        let topic_type = TopicType::new("test_msgs/msg/Text").with_body_bytes(64);
-        let (limits, qos) = (Limits { held: 1, loans: 1, ..Limits::default() }, Qos::keep_last(20));
-        let publisher = participant.create_raw_publisher("/burst", &topic_type, qos, limits).unwrap();
-        let subscription = participant.create_raw_subscription("/burst", &topic_type, qos, limits).unwrap();
-        let out = || {
-            let publish_state = publisher.publish_state.borrow();
-            let senders = publish_state.table().live();
-            senders.map(|sender| sender.samples_out()).sum::<u32>()
-        };
-        (0..20).for_each(|_| publisher.publish(&[1; 64]).unwrap());
-        assert_eq!(out(), 20);
-        while subscription.try_take().unwrap().is_some() {}
-        for loan in 1..=10 {
-            drop(publisher.loan(64).unwrap());
-            assert_eq!(out(), 20 - 2 * loan);
+        // Of small samples several at a time, of long ones with each loan.
+        for (bytes, loans) in [(64, 8), (4096, 1)] {
+            let (topic, text) = (format!("/burst{bytes}"), TopicType::new("test_msgs/msg/Text"));
+            let (limits, qos) = (Limits { held: 1, loans: 1, ..Limits::default() }, Qos::keep_last(20));
+            let text = text.with_body_bytes(bytes);
+            let publisher = participant.create_raw_publisher(&topic, &text, qos, limits).unwrap();
+            let subscription = participant.create_raw_subscription(&topic, &text, qos, limits).unwrap();
+            let out = || {
+                let publish_state = publisher.publish_state.borrow();
+                let senders = publish_state.table().live();
+                senders.map(|sender| sender.samples_out()).sum::<u32>()
+            };
+            (0..20).for_each(|_| publisher.publish(&vec![1; bytes]).unwrap());
+            assert_eq!(out(), 20);
+            while subscription.try_take().unwrap().is_some() {}
+            for turn in 1..=20 / loans {
+                (0..loans).for_each(|_| drop(publisher.loan(bytes).unwrap()));
+                assert_eq!(out(), 20_u32.saturating_sub(2 * loans * turn), "{bytes} bytes, {turn}");
+            }
         }
+    }
+
+    #[test]
+    fn a_burst_rings_once_and_so_does_who_publishes_again_before_the_sampler_ran() {
+        crate::tests::isolated();
+        let participant = Participant::new(7).unwrap();
+        let (text, qos) = (TopicType::new("test_msgs/msg/Text"), Qos::keep_last(20));
+        let limits = Limits::default();
+        let publisher = participant.create_raw_publisher("/bursts", &text, qos, limits).unwrap();
+        let subscription = participant.create_raw_subscription("/bursts", &text, qos, limits).unwrap();
+        let bodies = [[1_u8; 8], [2; 8], [3; 8]];
+        let many = || publisher.publish_many(bodies.iter().map(|body| &body[..])).unwrap();
+        let wakes = |meanwhile: &dyn Fn()| {
+            let arena = participant.state.doorbell.arena();
+            arena.count_wakes(tautline_doorbell::Sleeper::Sampler, meanwhile)
+        };
+        assert_eq!(wakes(&|| assert_eq!(many(), 3)), 1);
+        assert_eq!(wakes(&|| bodies.iter().for_each(|body| publisher.publish(body).unwrap())), 1);
+        assert_eq!(wakes(&|| assert_eq!(publisher.publish_many([]), Ok(0))), 0);
+        let taken = std::iter::from_fn(|| subscription.try_take().unwrap().map(|sample| sample.body()[0]));
+        assert_eq!(taken.collect::<Vec<_>>(), [1, 2, 3, 1, 2, 3]);
+    }
+
+    #[test]
+    fn what_a_burst_has_queued_before_a_panic_is_rung_for() {
+        crate::tests::isolated();
+        let participant = Participant::new(7).unwrap();
+        let (text, qos) = (TopicType::new("test_msgs/msg/Text"), Qos::keep_last(20));
+        let limits = Limits::default();
+        let publisher = participant.create_raw_publisher("/panics", &text, qos, limits).unwrap();
+        let _subscription = participant.create_raw_subscription("/panics", &text, qos, limits).unwrap();
+        let wakes =
+            participant.state.doorbell.arena().count_wakes(tautline_doorbell::Sleeper::Sampler, || {
+                let bodies = (0..2).map(|n| if n == 0 { &[1_u8; 8][..] } else { panic!("of the caller's") });
+                let burst = std::panic::AssertUnwindSafe(|| publisher.publish_many(bodies));
+                assert!(std::panic::catch_unwind(burst).is_err());
+            });
+        assert_eq!((wakes, publisher.sent()), (1, 1));
+        assert_eq!(publisher.publish_many([&[2_u8; 8][..]]), Ok(1), "it goes on");
     }
 }

@@ -10,12 +10,13 @@
 //!    free ----------------------> out ----------------------> back -----------------------> free
 //! ```
 
-use crate::sync::{AtomicU32, AtomicU64, Ordering, fence};
+use crate::sync::{AtomicU32, AtomicU64, Ordering};
 use futures::task::AtomicWaker;
 use std::any::Any;
 use std::cell::{RefCell, UnsafeCell};
 use std::sync::Arc;
 use std::task::Waker;
+use tautline_rt::full_fence;
 
 /// The table of one subscription's borrowed samples.
 pub(crate) struct BorrowTable<S> {
@@ -99,7 +100,7 @@ impl<S> BorrowTable<S> {
         self.state.waker.register(waker);
         self.state.starved.store(1, Ordering::Relaxed);
         // Either the one who drops sees `starved`, or its bit is seen here.
-        fence(Ordering::SeqCst);
+        full_fence();
         self.state.back.iter().any(|word| word.load(Ordering::Relaxed) != 0)
     }
 }
@@ -117,7 +118,7 @@ impl<S> Drop for BorrowedSample<S> {
     fn drop(&mut self) {
         let Some(word) = self.state.back.get(self.place / 64) else { return };
         word.fetch_or(1 << (self.place % 64), Ordering::Release);
-        fence(Ordering::SeqCst);
+        full_fence();
         if self.state.starved.load(Ordering::Relaxed) != 0
             && self.state.starved.swap(0, Ordering::Relaxed) != 0
         {

@@ -6,11 +6,13 @@ use crate::error::TransportError;
 use crate::graph::record::{PortKind, PortRecord};
 use crate::memory::connection::ReaderState;
 use crate::memory::header::Gid;
-use crate::qos::{Limits, Liveliness, Qos};
+use crate::qos::{History, Limits, Liveliness, Qos};
 use crate::topic::chunks::{Chunks, Keyed};
 use crate::topic::declaration::Topic;
 use crate::topic::endpoints::{Endpoint, EndpointList, Endpoints, LivelinessSource, Mismatch};
-use crate::topic::reader::receiver::{Receiver, TakeState, WriterEntry, WriterProxy, WriterTable};
+use crate::topic::reader::receiver::{
+    Receiver, ReceiverKind, TakeState, WriterEntry, WriterProxy, WriterTable,
+};
 use crate::topic::reader::source::PublisherMemory;
 use std::collections::HashSet;
 use std::sync::Arc;
@@ -217,8 +219,15 @@ impl SubscriptionCore {
         connection.block().back.set_state(ReaderState::Attached);
         // A server's answers go to clients, each of which is told its own numbers.
         let is_others = self.is_observer && port.partner.is_some();
-        let receiver = Arc::new(Receiver::new(*gid, is_others, connection, source.head(), owner, slot));
         let qos = port.qos.qos();
+        let both_keep_all =
+            [qos.history, self.qos.history].map(|history| history == History::KeepAll) == [true; 2];
+        let kind = match (is_others, both_keep_all) {
+            (true, _) => ReceiverKind::Others,
+            (false, true) => ReceiverKind::KeepsAll { depth: self.qos.depth },
+            (false, false) => ReceiverKind::Overwritten,
+        };
+        let receiver = Arc::new(Receiver::new(*gid, kind, connection, source.head(), owner, slot));
         let has_lease =
             qos.liveliness == Liveliness::ManualByTopic && qos.liveliness_lease_duration.is_some();
         let liveliness = has_lease.then(|| LivelinessSource::new(receiver.connection().clone()));

@@ -21,16 +21,16 @@ use core::cell::UnsafeCell;
 use core::ptr::NonNull;
 use std::sync::Arc;
 use std::sync::atomic::{Ordering, fence};
-use tautline_rt::LatestReader;
 use tautline_rt::shm::Mapping;
+use tautline_rt::{LatestReader, fetch_to_read};
 
 /// What a subscription knows of a publisher.
 pub(crate) struct Receiver {
     pub(crate) publisher: Gid,
     connection: Arc<Connection>,
-    /// Its samples are addressed to other subscriptions, each sample to one of them: its number counts only
-    /// that subscription's samples.
     is_others: bool,
+    /// How many samples are taken out of the queue at a time.
+    at_a_time: usize,
     /// Shows whether the segments have changed since they were mapped.
     head: Option<MappedControl>,
     /// Where the publisher is rung when it waits for room.
@@ -40,12 +40,32 @@ pub(crate) struct Receiver {
     half: UnsafeCell<TakeHalf>,
 }
 
+/// What a subscription gets of a publisher's samples.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum ReceiverKind {
+    /// All that it takes in time.
+    Overwritten,
+    /// All: the publisher waits for room in its queue of this depth.
+    KeepsAll { depth: usize },
+    /// Those that are addressed to other subscriptions, each sample to one of them: its number counts only that subscription's samples.
+    Others,
+}
+
+/// Of samples that nobody overwrites, so many at most are taken out of the queue at a time: each time costs both sides a fetch of a cache
+/// line from the other's core.
+const AT_A_TIME: usize = 8;
+
 /// The taking thread's half.
 struct TakeHalf {
     /// The number of the sample that is expected next; 0 before the first one.
     next: u64,
     /// A sample that was taken from the queue, but lies in a segment that is not mapped here yet.
     parked: Option<u64>,
+    /// Samples that were taken out of the queue and come next, the first one last.
+    stash: [u64; AT_A_TIME],
+    stashed: usize,
+    /// How many were left in the queue, until the first of the stash is given out.
+    queued: usize,
     /// Of samples that are addressed to other subscriptions: how many were overwritten, and counted.
     overwritten: u64,
 }
@@ -125,6 +145,8 @@ pub(crate) struct TakenSample {
     pub(crate) lost: u64,
     /// Samples of this publisher that waited, this one included.
     pub(crate) waiting: u64,
+    /// Of those that were taken out of the queue together: the publisher sees now that they were taken.
+    pub(crate) is_last: bool,
 }
 
 /// What came of a look at a publisher's queue.
@@ -144,21 +166,34 @@ impl Receiver {
     #[allow(clippy::disallowed_methods, reason = "set-up")]
     pub(crate) fn new(
         publisher: Gid,
-        is_others: bool,
+        kind: ReceiverKind,
         connection: Connection,
         head: Option<MappedControl>,
         owner: ArenaOwner,
         slot: usize,
     ) -> Self {
+        // The publisher sees room when those that were taken out together have been given out: an eighth of the depth later at most.
+        let at_a_time = match kind {
+            ReceiverKind::KeepsAll { depth } => (depth / 8).clamp(1, AT_A_TIME),
+            ReceiverKind::Overwritten | ReceiverKind::Others => 1,
+        };
         Receiver {
             publisher,
-            is_others,
+            is_others: kind == ReceiverKind::Others,
+            at_a_time,
             connection: Arc::new(connection),
             head,
             owner,
             slot,
             turn: HandOver::new(),
-            half: UnsafeCell::new(TakeHalf { next: 0, parked: None, overwritten: 0 }),
+            half: UnsafeCell::new(TakeHalf {
+                next: 0,
+                parked: None,
+                stash: [0; AT_A_TIME],
+                stashed: 0,
+                queued: 0,
+                overwritten: 0,
+            }),
         }
     }
 
@@ -210,7 +245,7 @@ impl Receiver {
         // SAFETY: as the caller promises.
         let half = unsafe { &mut *self.half.get() };
         // SAFETY: as the caller promises.
-        let Some(chunk) = half.parked.take().or_else(|| unsafe { self.connection.take() }) else {
+        let Some(chunk) = half.parked.take().or_else(|| unsafe { self.next_chunk(half, segments) }) else {
             return if has_ended { self.settle(half) } else { TakeOutcome::Empty };
         };
         let Some((view, payload)) = locate(chunk, segments) else {
@@ -239,11 +274,43 @@ impl Receiver {
         let lost = number.saturating_sub(half.next);
         // Numbers are another process's claims: too large a one is a wrong count, not an overflow.
         half.next = half.next.max(number.saturating_add(1));
-        let waiting = self.block().out.sent.load(Ordering::Relaxed).saturating_add(1).saturating_sub(number);
-        // Release: pairs with the Acquire in the publisher's check for room.
-        self.block().back.taken.store(number, Ordering::Release);
+        let waiting = core::mem::take(&mut half.queued) as u64 + half.stashed as u64 + 1;
+        let is_last = half.stashed == 0;
+        if is_last {
+            // Release: pairs with the Acquire in the publisher's check for room.
+            self.block().back.taken.store(number, Ordering::Release);
+        }
         let held = BorrowedChunk { receiver: self.clone(), chunk, _map: view.map.clone() };
-        TakeOutcome::Taken(TakenSample { held, header, payload, lost, waiting })
+        TakeOutcome::Taken(TakenSample { held, header, payload, lost, waiting, is_last })
+    }
+
+    /// The oldest sample that was not given out.
+    ///
+    /// # Safety
+    /// For the thread that takes, of a live receiver, whose half that is.
+    unsafe fn next_chunk(&self, half: &mut TakeHalf, segments: &SegmentViews) -> Option<u64> {
+        if half.stashed == 0 {
+            let mut places = half.stash.iter_mut().take(self.at_a_time);
+            // SAFETY: as the caller promises.
+            let take = || unsafe { self.connection.take() };
+            while let Some(place) = places.next()
+                && let Some(chunk) = take()
+            {
+                *place = chunk;
+                half.stashed += 1;
+                // While those before it are read.
+                if let Some((_, payload)) = locate(chunk, segments).filter(|_| half.stashed > 1) {
+                    fetch_to_read(payload.cast());
+                    // SAFETY: a header is before it.
+                    fetch_to_read(unsafe { payload.cast::<u8>().byte_sub(HEADER_BYTES) });
+                }
+            }
+            half.stash.get_mut(..half.stashed)?.reverse();
+            // Its positions are on the cache line that was fetched just now.
+            half.queued = if half.stashed > 0 { self.connection.queued() } else { 0 };
+        }
+        half.stashed = half.stashed.checked_sub(1)?;
+        half.stash.get(half.stashed).copied()
     }
 
     /// Whether there is something to take. `None`: there is, but it cannot be reached yet.
@@ -259,7 +326,10 @@ impl Receiver {
     unsafe fn is_ready(&self, WriterEntry { segments, grown, has_ended, .. }: &WriterEntry) -> Option<bool> {
         // SAFETY: as the caller promises.
         let half = unsafe { &mut *self.half.get() };
-        if half.parked.is_none() {
+        if half.parked.is_none() && half.stashed > 0 {
+            // SAFETY: as the caller promises.
+            half.parked = unsafe { self.next_chunk(half, segments) };
+        } else if half.parked.is_none() {
             if !self.has_samples() {
                 return Some(false);
             }
@@ -306,7 +376,7 @@ impl Receiver {
     /// # Real-time
     /// Wait-free; no allocation; one futex wake if the publisher waits and its sampler sleeps.
     pub(crate) fn ring_if_waiting(&self) {
-        if self.block().out.room.take() {
+        if self.block().back.room.take() {
             self.owner.arena().ring(self.slot);
         }
     }

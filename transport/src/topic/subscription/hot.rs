@@ -188,7 +188,7 @@ impl RawSubscription {
                 return Ok(None);
             };
             budget.spend();
-            if self.core().qos.history == History::KeepAll {
+            if taken.is_last && self.core().qos.history == History::KeepAll {
                 taken.receiver().ring_if_waiting();
             }
             if taken.lost != 0 {

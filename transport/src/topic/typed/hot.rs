@@ -3,7 +3,7 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use crate::error::{LoanError, PublishError, SendError, TakeError};
+use crate::error::{BurstError, LoanError, PublishError, SendError, TakeError};
 use crate::memory::header::MessageInfo;
 use crate::topic::publisher::RawPublisher;
 use crate::topic::publisher::hot::RawLoan;
@@ -70,6 +70,37 @@ impl<T: Codec> Publisher<T> {
         let loan = |len_bytes| self.raw.loan(len_bytes).map_err(|error| PublishError::from(error).into());
         let raw = message.encode_into(&self.definition, loan, T::Error::from)?;
         Ok(raw.publish().map_err(PublishError::from)?)
+    }
+
+    /// Writes each message into a loan and publishes it, in this order, and wakes each subscription once, when all are queued or one was not
+    /// published. Returns how many there were. Messages for a keep-last subscription beyond its depth overwrite the oldest, which the
+    /// subscription counts as lost; a keep-all publisher stops at the first one for which a queue has no room.
+    ///
+    /// ```
+    /// # use tautline_transport::{Limits, Participant, Qos};
+    /// # use tautline_ros_msgs::geometry_msgs::msg::Point;
+    /// # let participant = Participant::new(123)?;
+    /// # let (qos, limits) = (Qos::keep_last(10), Limits::default());
+    /// # let subscription = participant.create_subscription::<Point>("/path", qos, limits)?;
+    /// let publisher = participant.create_publisher::<Point>("/path", qos, limits)?;
+    /// let path = [0.0, 0.5, 1.0].map(|x| Point { x, y: 0.0, z: 0.0 });
+    /// assert_eq!(publisher.publish_many(&path)?, 3);
+    /// # assert_eq!(subscription.try_take()?.unwrap().x, 0.0);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Real-time
+    /// As [`publish`](Self::publish) for each message, but with one fence and one ring for all.
+    ///
+    /// # Errors
+    /// [`BurstError`](crate::BurstError), with [`PublishError`] or what a codec other than a Rust type fails with: the messages before that
+    /// one were published.
+    pub fn publish_many<'m>(
+        &self,
+        messages: impl IntoIterator<Item = &'m T>,
+    ) -> Result<usize, BurstError<T::Error>> {
+        let loan = |len_bytes| self.raw.loan(len_bytes).map_err(|error| PublishError::from(error).into());
+        self.raw.publish_each(messages, |message| message.encode_into(&self.definition, loan, T::Error::from))
     }
 
     /// Publishes a message in the form of the ROS 2 wire and of bags: the encapsulation header of 4 bytes, then the body. The bytes are

@@ -9,7 +9,7 @@
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
 use crate::graph::record::PortRecord;
-use crate::memory::connection::{Block, Connection, Shape};
+use crate::memory::connection::{Block, Connection, Out, Shape, UNLOOKED};
 use crate::memory::control::ConnectionPlace;
 use crate::memory::file::ArenaOwner;
 use crate::memory::header::Gid;
@@ -20,9 +20,9 @@ use crate::topic::hand_over::HandOver;
 use crate::topic::writer::history::History;
 use core::cell::UnsafeCell;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering, fence};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use tautline_doorbell::{Activity, ActivityKind, Flags, Sleeper};
-use tautline_rt::{LatestReader, clock::monotonic_ns};
+use tautline_rt::{LatestReader, clock::monotonic_ns, full_fence};
 
 /// What a publisher knows about a subscription.
 pub(crate) struct ReaderChannel {
@@ -61,6 +61,10 @@ struct SendHalf {
     wants_history: bool,
     /// The number of samples submitted so far.
     submitted: u64,
+    /// How many loans there were since it was last looked at what has come back.
+    unlooked: usize,
+    /// The number of the last sample that it had taken when that was last looked at.
+    taken: u64,
     /// The number of samples for which the queues' memory is claimed, if it is claimed on use.
     claimed: usize,
     /// The sleeper to wake for the sample that is being published.
@@ -117,6 +121,10 @@ impl SpareList {
 /// Memory of queues is claimed for so many samples more at once, and then up to the end of a page.
 const CLAIMED_AT_ONCE: usize = 512;
 
+/// Samples of up to this size take no cache from each other if some more of them are out; of longer ones those that were returned are looked
+/// for with each loan.
+const SMALL_BYTES: usize = 1 << 10;
+
 /// How many words a list of so many samples has.
 pub(crate) fn words_for(samples: usize) -> usize {
     samples.div_ceil(64)
@@ -135,7 +143,17 @@ impl ReaderChannel {
     ) -> Self {
         connection.block().out.alive_ns.store(monotonic_ns(), Ordering::Relaxed);
         let out = vec![0; words_for(samples)].into_boxed_slice();
-        let half = SendHalf { out, last: 0, wants_history: false, submitted: 0, claimed: 0, sleeper: None };
+        let half = SendHalf {
+            out,
+            last: 0,
+            wants_history: false,
+            submitted: 0,
+            // Not all at the same loan.
+            unlooked: subscription.number() as usize % UNLOOKED,
+            taken: 0,
+            claimed: 0,
+            sleeper: None,
+        };
         ReaderChannel {
             subscription,
             depth: shape.depth as u64,
@@ -300,9 +318,31 @@ impl ReaderChannel {
         }
     }
 
-    /// The number of the sample before the first one that is for it.
-    pub(crate) fn before(&self) -> u64 {
-        self.block().out.start.load(Ordering::Relaxed).saturating_sub(1)
+    /// Whether its queue has room for one more sample. If it has none and the subscription `is_asked`, that rings when it has.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    ///
+    /// # Safety
+    /// For who has the sending half.
+    pub(crate) unsafe fn has_room(&self, is_asked: bool) -> bool {
+        // SAFETY: as the caller promises.
+        let half = unsafe { &mut *self.half.get() };
+        let (Out { start, sent, .. }, back) = (&self.block().out, &self.block().back);
+        let sent = sent.load(Ordering::Relaxed);
+        // A queue that nothing was put into yet has taken nothing either.
+        let before = start.load(Ordering::Relaxed).saturating_sub(1);
+        let is_full = |taken: u64| sent != 0 && sent.saturating_sub(taken.max(before)) >= self.depth;
+        // What it has taken since is looked at only then: each look disturbs it.
+        if !is_full(half.taken) {
+            return true;
+        }
+        let mut is_full_now = || {
+            // Acquire: pairs with the Release of the subscription's take.
+            half.taken = back.taken.load(Ordering::Acquire);
+            is_full(half.taken)
+        };
+        !is_full_now() || is_asked && !back.room.request(is_full_now)
     }
 
     /// Tells a subscription that has a deadline that a sample comes now.
@@ -534,12 +574,17 @@ impl PublishState {
     pub(crate) fn ring(&self, to: Option<Gid>) {
         let table = self.table();
         let ringing = || table.receiving(to).filter(|sender| !sender.is_observer);
+        let mut is_any_marked = false;
         for sender in ringing() {
             // SAFETY: it is live, so its sending half is this thread's.
             let half = unsafe { &mut *sender.half.get() };
             half.sleeper = sender.owner.arena().mark_sample(sender.slot, sender.is_own);
+            is_any_marked |= half.sleeper.is_some();
         }
-        fence(Ordering::SeqCst);
+        if !is_any_marked {
+            return;
+        }
+        full_fence();
         let (mut last, mut woken) = (None, WokenSleepers::default());
         for sender in ringing() {
             // SAFETY: as above.
@@ -555,15 +600,35 @@ impl PublishState {
         }
     }
 
-    /// Takes back what subscriptions have returned, `most` samples of each at most.
+    /// Before a loan: takes back what those subscriptions have returned whose turn it is, twice as many samples of each at most as were loaned
+    /// since its last turn.
     ///
     /// # Real-time
     /// Wait-free, O(subscriptions + samples taken back); no allocation; no syscall.
-    pub(crate) fn reclaim(&self, most: usize) {
+    pub(crate) fn reclaim_some(&self) {
+        let table = self.table();
+        let unlooked = if table.pool.sample_bytes <= SMALL_BYTES { UNLOOKED } else { 1 };
+        for sender in table.live() {
+            // SAFETY: it is live, so it is this thread's.
+            let half = unsafe { &mut *sender.half.get() };
+            half.unlooked += 1;
+            if half.unlooked >= unlooked {
+                half.unlooked = 0;
+                // SAFETY: as above.
+                unsafe { sender.reclaim(2 * unlooked, &table.pool) };
+            }
+        }
+    }
+
+    /// Takes back all that subscriptions have returned.
+    ///
+    /// # Real-time
+    /// Wait-free, O(subscriptions + samples taken back); no allocation; no syscall.
+    pub(crate) fn reclaim_all(&self) {
         let table = self.table();
         for sender in table.live() {
             // SAFETY: it is live, so it is this thread's.
-            unsafe { sender.reclaim(most, &table.pool) };
+            unsafe { sender.reclaim(usize::MAX, &table.pool) };
         }
     }
 }
