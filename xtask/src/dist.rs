@@ -9,6 +9,7 @@
 //! | `rmw_tautline.py` | loads the RMW into Python, if `RMW_IMPLEMENTATION` asks for it |
 //! | `no_wheel.py` | says why pip takes none of the wheels |
 //! | `refused.sh` | says what those are told whose machine or installation is not as it must be |
+//! | `installed.sh` | says what the `.deb` has put where, and removes it |
 
 mod crates;
 mod licences;

@@ -174,7 +174,7 @@ enum Verb {
     },
     /// Tests the gateway against hiroz, zenoh-ros2-sdk (made under target/peers) and an rmw_zenoh_cpp that is sourced or that
     /// `TAUT_RMW_ZENOH` names; minutes to build
-    Peers,
+    Peers(Ros),
     /// Runs the programs of the tests of tautline-r2r on r2r, with the ROS 2 that is sourced or that under target/ros
     R2r,
     /// Builds r2r's own tests and examples, unchanged, on Tautline, and runs them; some minutes
@@ -232,6 +232,7 @@ minutes to build."
   cargo xtask guests                          all, an hour: for aarch64 everything is built once more
   cargo xtask guests --only rt-x86 --quick    what CI runs, some minutes
   cargo xtask guests --only arm64-16k
+  cargo xtask guests --only arm64 --packages  the programs of `cargo xtask dist --architecture arm64`
 
 QEMU emulates them (Debian: qemu-system-x86, qemu-system-arm; for aarch64 also gcc-aarch64-linux-gnu);
 kernels are Debian's, fetched with apt-get. It shows that programs work there, not how fast, nor that
@@ -243,6 +244,9 @@ they get by with ARM's weak memory order.")]
         /// Only what depends most on the kernel
         #[arg(long)]
         quick: bool,
+        /// Instead of tests, start the programs of the `.deb` that `cargo xtask dist` has made
+        #[arg(long, conflicts_with = "quick")]
+        packages: bool,
     },
     /// Makes what is installed without a checkout, of a release build, into the target directory's `dist`
     #[command(after_help = "Examples:
@@ -351,15 +355,22 @@ fn main() -> ExitCode {
             ros::choose(distro);
             if test { as_steps_with_ros(rmw::test) } else { exit(rmw::run()) }
         }
-        Verb::Peers => as_steps_with_ros(peers::build_and_test),
+        Verb::Peers(Ros { distro }) => {
+            ros::choose(distro);
+            as_steps_with_ros(peers::build_and_test)
+        }
         Verb::R2r => as_steps_with_ros(programs::test),
         Verb::R2rTests => as_steps_with_ros(|steps| r2r_tests::build(steps).run(steps)),
         Verb::Bench(bench) => exit(bench.run()),
         Verb::Readme { quick, only, minutes } => exit(readme::run(quick, minutes, &only)),
         Verb::Miri => as_steps(ci::miri),
         Verb::Fuzz { runs, targets } => as_steps(|steps| fuzz::run(steps, runs, &targets)),
-        Verb::Guests { only, quick } => as_steps(|steps| {
-            let extent = if quick { Extent::Quick } else { Extent::Whole };
+        Verb::Guests { only, quick, packages } => as_steps(|steps| {
+            let extent = match (quick, packages) {
+                (_, true) => Extent::Packages,
+                (true, _) => Extent::Quick,
+                _ => Extent::Whole,
+            };
             guests::run(steps, &only, extent);
         }),
         Verb::Dist { only, architecture, verify } => as_steps(|steps| {
