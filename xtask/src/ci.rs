@@ -121,6 +121,7 @@ pub fn run(steps: &mut Steps, scope: &Scope) {
     ros::choose(Distribution::Kilted);
     rmw::test(steps);
     miri(steps);
+    steps.step("versions", release::beside_another_version);
     steps.step("semver", release::semver);
     test::leftovers(steps, scope);
 }

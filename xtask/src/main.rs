@@ -253,6 +253,7 @@ they get by with ARM's weak memory order.")]
   cargo xtask dist                     all, some minutes
   cargo xtask dist --only tarball,deb
   cargo xtask dist --architecture arm64   tarball, .deb and wheel for Raspberry Pi 5 and others
+  cargo xtask dist --distro kilted     rmw_tautline's .deb for Kilted
   cargo xtask dist --only crates       also checks that all published crates build without this repository
 
 Wheels need Python 3.11 and PyPI, the SBOM a tool that is built in a minute. Each file names a glibc of 2.35 at most, or it is refused.")]
@@ -266,6 +267,8 @@ Wheels need Python 3.11 and PyPI, the SBOM a tool that is built in a minute. Eac
         /// Build the programs of the last commit once more in another folder, and compare their bytes
         #[arg(long, conflicts_with = "architecture")]
         verify: bool,
+        #[command(flatten)]
+        ros: Ros,
     },
     /// Checks that all is committed, has one version and a section in the changelog; makes the packages and tags the commit, here alone
     Release {
@@ -275,6 +278,8 @@ Wheels need Python 3.11 and PyPI, the SBOM a tool that is built in a minute. Eac
     },
     /// Compares the crates' surfaces with those of the last tag: `cargo install --locked cargo-semver-checks`
     Semver,
+    /// Runs a program beside that of the last tag, or of another layout of shared memory: neither may misread the other
+    Versions,
     /// Tries to break something by doing it very often
     #[command(subcommand)]
     Stress(Stress),
@@ -373,11 +378,13 @@ fn main() -> ExitCode {
             };
             guests::run(steps, &only, extent);
         }),
-        Verb::Dist { only, architecture, verify } => as_steps(|steps| {
+        Verb::Dist { only, architecture, verify, ros: Ros { distro } } => as_steps(|steps| {
+            ros::choose(distro);
             let architecture = architecture.unwrap_or_else(guests::Architecture::here);
             dist::run(steps, &only, architecture, verify);
         }),
         Verb::Release { dry_run } => as_steps(|steps| release::run(steps, dry_run)),
+        Verb::Versions => as_steps(|steps| _ = steps.step("versions", release::beside_another_version)),
         Verb::Semver => as_steps(|steps| _ = steps.step("semver", release::semver)),
         Verb::Stress(Stress::Doorbell { rings }) => {
             exit(steps::execute(&mut stress_doorbell(Build::Release, rings)))
@@ -450,4 +457,29 @@ fn stress_kills(steps: &mut Steps, build: Build, kills: u64, seed: Option<u64>, 
     steps.command("stress: kills at random", &mut command(&format!("random --kills {kills}")));
     let all = if exhaustive { "syscalls --all" } else { "syscalls" };
     steps.command("stress: kills at system calls", &mut command(all));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// There is no Docker where CI runs: what the image installs, CI installs elsewhere.
+    #[test]
+    fn the_image_is_made_of_a_deb_and_run_as_the_documents_say() {
+        let root = machine::root();
+        let read = |file: &str| std::fs::read_to_string(root.join(file)).unwrap();
+        let (image, page) = (read("Containerfile"), read("docs/deployment.md"));
+        let after = |begin: &str| image.lines().find_map(|line| line.strip_prefix(begin)).unwrap();
+        let Verb::Dist { only, .. } = Cli::parse_from(after("RUN cargo ").split(' ')).verb else {
+            panic!("the image is not made by `dist`");
+        };
+        assert!(only == [Part::Deb]);
+        let (options, _) = after("#   docker run ").split_once(" tautline").unwrap();
+        assert!(page.contains(&format!("docker run {options} tautline")), "{options}");
+        let reasons = image.lines().filter(|line| line.starts_with("# --")).collect::<String>();
+        for option in options.split(" --").filter(|option| *option != "--rm") {
+            let name = option.split([' ', '=']).next().unwrap_or_default();
+            assert!(reasons.contains(&format!("--{name}")), "{name}");
+        }
+    }
 }

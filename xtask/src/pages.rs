@@ -21,9 +21,12 @@ const PAGES: [&str; 8] = [
     "docs/from-r2r.md",
 ];
 
-/// Pages after whose commands more is tried: one has installed both wheels and written nodes, the other the `.deb`.
-const WITH_MORE: [(&str, &str); 2] =
-    [("docs/from-rclpy.md", "xtask/src/dist/refused.sh"), ("docs/start.md", "xtask/src/dist/installed.sh")];
+/// Pages after whose commands more is tried: one has installed both wheels and written nodes, the others wheels or the `.deb`.
+const WITH_MORE: [(&str, &str); 3] = [
+    ("docs/from-rclpy.md", "xtask/src/dist/refused.sh"),
+    ("docs/start.md", "xtask/src/dist/installed.sh"),
+    ("docs/rmw.md", "xtask/src/dist/installed_rmw.sh"),
+];
 
 /// Why commands are not run there.
 const REASONS: [(&str, &str); 5] = [
