@@ -4,7 +4,7 @@
 
 use std::time::Duration;
 use tautline_msgs::Message;
-use tautline_transport::{Limits, Participant, Qos, TransportError, Visitor};
+use tautline_transport::{Limits, Participant, Qos, Visitor};
 
 #[derive(Message, Clone, Copy)]
 #[message(name = "test_msgs/msg/Process", crate = "tautline_msgs")]
@@ -13,7 +13,7 @@ struct Process {
     id: u32,
 }
 
-fn main() -> Result<(), TransportError> {
+fn main() -> Result<(), Box<dyn std::error::Error>> {
     let domain = std::env::args().nth(1).and_then(|domain| domain.parse().ok()).unwrap_or(0);
     let participant = Participant::new(domain)?;
     let qos = Qos::keep_last(4);
