@@ -276,7 +276,7 @@ Wheels need Python 3.11 and PyPI, the SBOM a tool that is built in a minute. Eac
         #[arg(long)]
         dry_run: bool,
     },
-    /// Compares the crates' surfaces with those of the last tag: `cargo install --locked cargo-semver-checks`
+    /// Compares the crates' surfaces with those of the last tag, with cargo-semver-checks, which it builds unless it is there
     Semver,
     /// Runs a program beside that of the last tag, or of another layout of shared memory: neither may misread the other
     Versions,
@@ -385,7 +385,7 @@ fn main() -> ExitCode {
         }),
         Verb::Release { dry_run } => as_steps(|steps| release::run(steps, dry_run)),
         Verb::Versions => as_steps(|steps| _ = steps.step("versions", release::beside_another_version)),
-        Verb::Semver => as_steps(|steps| _ = steps.step("semver", release::semver)),
+        Verb::Semver => as_steps(|steps| _ = steps.step("semver", || release::semver(true))),
         Verb::Stress(Stress::Doorbell { rings }) => {
             exit(steps::execute(&mut stress_doorbell(Build::Release, rings)))
         }

@@ -28,7 +28,8 @@ pub fn run(steps: &mut Steps, dry_run: bool) {
     });
     // Before the first release there is nothing to compare with.
     if last_tag().is_some() {
-        steps.step("release: semver", semver);
+        steps.step("release: semver", || semver(true));
+        steps.step("release: versions", beside_another_version);
     }
     let then = format!("git push origin {tag}, and publish what is in the target directory's `dist`");
     if !dry_run && steps.are_all_ok() {
@@ -48,19 +49,29 @@ pub fn run(steps: &mut Steps, dry_run: bool) {
     }
 }
 
-/// What CI runs: the crates of the working tree beside those of the last tag. Each is checked by itself, as the tool's issue 638 says of items that
-/// one crate exports of another.
-pub fn semver() -> Outcome {
+/// The crates of the working tree beside those of the last tag. Each is checked by itself, as the tool's issue 638 says of items that one crate exports
+/// of another. The tool takes minutes to build, and no registry has it built: CI uses it where it is there, `is_made` makes it.
+pub fn semver(is_made: bool) -> Outcome {
     let Some(tag) = last_tag() else {
         return Outcome::Skipped("there is no tag v* to compare with (git fetch --tags)".to_owned());
     };
-    if let Err(reason) = machine::cargo_has("semver-checks --version") {
-        let install = "cargo install --locked cargo-semver-checks";
-        return Outcome::Skipped(format!("cargo-semver-checks is not there ({reason}): {install}"));
+    let root = machine::target_dir().join("tools");
+    let tool = root.join("bin/cargo-semver-checks");
+    if machine::cargo_has("semver-checks --version").is_err() && !tool.is_file() {
+        if !is_made {
+            return Outcome::Skipped("`cargo xtask semver` builds what compares, in minutes".to_owned());
+        }
+        let install = "install --quiet --debug --locked cargo-semver-checks --version 0.51.0";
+        if let Err(reason) = execute(cargo(install).arg("--root").arg(&root)) {
+            return Outcome::Failed(reason);
+        }
     }
     // It leaves out crates with `publish = false`. Not all features: LTTng's is a library of the host's.
     let mut command = Command::new("cargo");
     command.args(["semver-checks", "--workspace", "--default-features", "--baseline-rev", &tag]);
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let path = std::iter::once(root.join("bin")).chain(std::env::split_paths(&path));
+    command.envs(std::env::join_paths(path).map(|path| ("PATH", path)));
     execute(command.current_dir(machine::root())).into()
 }
 
