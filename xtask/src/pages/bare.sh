@@ -23,9 +23,11 @@ for folder in /usr /etc /var; do
     layers=lowerdir=$folder,upperdir=$root/.changed$folder/new,workdir=$root/.changed$folder/work
     mount -t overlay overlay -o "$layers" "$root$folder"
 done
-echo 'APT::Sandbox::User "root";' > "$root/etc/apt/apt.conf.d/bare"
-# Nobody searches its manual pages.
-rm -f "$root/var/lib/man-db/auto-update"
+# An ordinary user installs none of Debian's packages. Nobody searches for manual pages.
+if [ -w "$root/var/lib/dpkg" ]; then
+    echo 'APT::Sandbox::User "root";' > "$root/etc/apt/apt.conf.d/bare"
+    rm -f "$root/var/lib/man-db/auto-update"
+fi
 mount -t tmpfs tmpfs "$root/usr/local"
 # pip's own settings say where this machine finds packages.
 for folder in "$("$PYTHON" -c 'import sys; print(sys.base_prefix)')" ${PIP_FIND_LINKS-}; do
