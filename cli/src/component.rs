@@ -81,7 +81,7 @@ enum Verb {
         #[arg(long, short = 'e', value_name = "NAME:=VALUE", value_parser = parameter)]
         extra_argument: Vec<msg::Parameter>,
     },
-    /// Unloads a component: its callbacks end
+    /// Unloads a component: its callbacks end. Prints nothing, with --json its number
     Unload {
         /// Its number, as `load` and `list` print it
         #[arg(add = completions::components())]
@@ -131,6 +131,9 @@ pub fn run(args: ComponentArgs) -> Outcome {
             let unloaded = call::<UnloadNode::Service>(&target, "unload_node", request)?;
             if !unloaded.success {
                 return Err(Failure::no(unloaded.error_message));
+            }
+            if target.common.json {
+                writeln!(crate::print::stdout(), "{}", json!([{ "id": id }]))?;
             }
         }
         Verb::List => {

@@ -6,8 +6,9 @@ mod running;
 use crate::trace::{self, record};
 use crate::verb::{CommonArgs, End, Failure, Outcome, time};
 use clap::Args;
+use serde_json::json;
 use std::fs::OpenOptions;
-use std::io::{ErrorKind, Write};
+use std::io::{self, ErrorKind, Write};
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -52,7 +53,7 @@ pub fn run(args: &InitArgs) -> Outcome<ExitCode> {
     }
     if let (None, false) = (&args.from_trace, args.from_running) {
         write(&args.file, TEMPLATE)?;
-        println!("Wrote {path}. Change it to your system, then run: taut check {path}");
+        say(args, None, &format!("Wrote {path}. Change it to your system, then run: taut check {path}"))?;
         return Ok(ExitCode::SUCCESS);
     }
     let refuse = |error: trace::TraceError| Failure::unusable(error.to_string());
@@ -70,14 +71,26 @@ pub fn run(args: &InitArgs) -> Outcome<ExitCode> {
     }
     write(&args.file, &described.text)?;
     let running::Described { callbacks, guesses, .. } = described;
-    println!("Wrote {path}: {callbacks} callbacks, {guesses} guesses, marked `guess`");
-    match SystemFile::parse(&described.text) {
-        Ok(_) => {
-            println!("Correct the guesses, then run: taut check {path}");
-            Ok(ExitCode::SUCCESS)
-        }
+    let parsed = SystemFile::parse(&described.text);
+    let next = if parsed.is_ok() {
+        format!("\nCorrect the guesses, then run: taut check {path}")
+    } else {
+        String::new()
+    };
+    let wrote = format!("Wrote {path}: {callbacks} callbacks, {guesses} guesses, marked `guess`{next}");
+    say(args, Some((callbacks, guesses)), &wrote)?;
+    match parsed {
+        Ok(_) => Ok(ExitCode::SUCCESS),
         Err(problems) => Err(Failure::no(format!("{path} is not complete yet:\n{problems}"))),
     }
+}
+
+/// What was written, for a program or a person. A template's callbacks are not counted: they are examples.
+fn say(args: &InitArgs, counts: Option<(usize, usize)>, words: &str) -> io::Result<()> {
+    let (callbacks, guesses) = counts.unzip();
+    let report = json!({ "file": args.file, "callbacks": callbacks, "guesses": guesses });
+    let text = if args.common.json { report.to_string() } else { words.to_owned() };
+    writeln!(crate::print::stdout(), "{text}")
 }
 
 fn observe(args: &InitArgs) -> Result<trace::recording::Recording, trace::TraceError> {

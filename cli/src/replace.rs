@@ -1,16 +1,110 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Files of the user's that a verb rewrites.
+//! Files that a verb writes whole or not at all.
 
-use std::path::Path;
-use std::{fs, io};
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+/// A file that gets its name when it is complete; until then an earlier file of this name stays. What is no regular file, such as a pipe or `/dev/null`,
+/// keeps its name and is written at once.
+pub struct NewFile {
+    path: PathBuf,
+    partial: Option<PathBuf>,
+    file: File,
+}
+
+impl NewFile {
+    /// An error at once if the path is unusable.
+    pub fn create(path: &Path) -> io::Result<Self> {
+        let is_replaced = fs::metadata(path).map_or(true, |metadata| metadata.is_file());
+        let partial = is_replaced.then(|| {
+            let mut partial = path.as_os_str().to_owned();
+            partial.push(".partial");
+            PathBuf::from(partial)
+        });
+        Ok(NewFile {
+            path: path.to_owned(),
+            file: File::create(partial.as_deref().unwrap_or(path))?,
+            partial,
+        })
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Gives it its name.
+    pub fn finish(&mut self) -> io::Result<()> {
+        if let Some(partial) = &self.partial {
+            fs::rename(partial, &self.path)?;
+            self.partial = None;
+        }
+        Ok(())
+    }
+}
+
+impl Write for NewFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.file.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Drop for NewFile {
+    /// Removes what is not complete.
+    fn drop(&mut self) {
+        if let Some(partial) = &self.partial {
+            let _ = fs::remove_file(partial);
+        }
+    }
+}
 
 /// Replaces the file atomically and keeps its permissions.
 pub fn replace(path: &Path, text: &str) -> io::Result<()> {
     // Follows a symbolic link, so that its target is replaced.
     let path = fs::canonicalize(path)?;
-    let mut partial = path.as_os_str().to_owned();
-    partial.push(".partial");
-    fs::write(&partial, text)?;
-    fs::set_permissions(&partial, fs::metadata(&path)?.permissions())?;
-    fs::rename(&partial, &path)
+    let mut new = NewFile::create(&path)?;
+    new.write_all(text.as_bytes())?;
+    new.file.set_permissions(fs::metadata(&path)?.permissions())?;
+    new.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::FileTypeExt;
+
+    #[test]
+    fn a_file_appears_when_it_is_complete() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        fs::write(&path, "old").unwrap();
+        let mut new = NewFile::create(&path).unwrap();
+        new.write_all(b"new").unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "old");
+        new.finish().unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "new");
+        drop(NewFile::create(&path).unwrap());
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn what_is_no_file_is_written_and_not_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join("pipe");
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        let reader = std::thread::spawn({
+            let pipe = pipe.clone();
+            move || fs::read_to_string(pipe).unwrap()
+        });
+        let mut new = NewFile::create(&pipe).unwrap();
+        new.write_all(b"text").unwrap();
+        new.finish().unwrap();
+        drop(new);
+        assert_eq!(reader.join().unwrap(), "text");
+        assert!(fs::metadata(&pipe).unwrap().file_type().is_fifo());
+    }
 }

@@ -4,7 +4,7 @@
 mod support;
 
 use futures::StreamExt;
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -53,6 +53,12 @@ fn what_runs_becomes_a_file() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("robot.toml");
     let path = file.to_str().unwrap();
+    let template = folder.path().join("template.toml");
+    let wrote = here.json(&["init", template.to_str().unwrap()]);
+    assert_eq!(wrote, json!({ "file": template, "callbacks": null, "guesses": null }));
+    let other = folder.path().join("json.toml");
+    let wrote = here.json(&["init", "--from-running", "--seconds", "0.5", other.to_str().unwrap()]);
+    assert!(wrote["callbacks"] == 3 && wrote["guesses"].as_u64() > Some(0), "{wrote}");
     let said = here.taut(&["init", "--from-running", "--seconds", "1", path]);
     assert!(said.contains("3 callbacks") && said.contains(&format!("taut check {path}")), "{said}");
     let text = std::fs::read_to_string(&file).unwrap();

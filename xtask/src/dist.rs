@@ -9,12 +9,14 @@
 //! | `rmw_tautline.py` | loads the RMW into Python, if `RMW_IMPLEMENTATION` asks for it |
 //! | `no_wheel.py` | says why pip takes none of the wheels |
 //! | `refused.sh` | says what those are told whose machine or installation is not as it must be |
+//! | `installed.sh`, `installed_rmw.sh` | use what a `.deb` has put where, and remove it |
 
 mod crates;
 mod licences;
 
 use crate::build::{Build, SAME};
 use crate::guests::debian::{self, Architecture};
+use crate::ros::Distribution;
 use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::{book, machine, pages, r2r, rmw, ros, word};
 use clap::ValueEnum;
@@ -37,6 +39,8 @@ pub enum Part {
     Wheel,
     /// rmw_tautline for pip, beside the wheels of ROS 2 Jazzy
     RmwWheel,
+    /// rmw_tautline for an installed ROS 2, on Debian and Ubuntu
+    RmwDeb,
 }
 
 /// The newest glibc that is demanded: Ubuntu 22.04 has it.
@@ -56,16 +60,22 @@ const CYCLONEDX: &str = "cargo-cyclonedx --version 0.5.9";
 
 /// The verb: these parts of a release build, or all if none is named. `is_verified`: programs of another folder are compared with them.
 pub fn run(steps: &mut Steps, named: &[Part], architecture: Architecture, is_verified: bool) {
-    let is_made = |part: &Part| architecture.is_here() || part.has_programs();
+    // The rest is made on such a machine, or is the same everywhere; and of other distributions there are no wheels.
+    let of_another = ros::chosen() != Distribution::default();
+    let is_made = |part: &Part| match of_another {
+        true => *part == Part::RmwDeb && architecture.is_here(),
+        false => architecture.is_here() || part.has_programs(),
+    };
     let all: Vec<_> = Part::value_variants().iter().copied().filter(is_made).collect();
     let parts = if named.is_empty() { &all } else { named };
     if let Some(part) = parts.iter().find(|part| !is_made(part)) {
-        let reason = format!("for {architecture} it is made on such a machine, or is the same everywhere");
+        let reason = format!("it is not made for {architecture} and ROS 2 {}", ros::distribution());
         return steps.skip(&format!("dist: {}", word(*part)), &reason);
     }
     // One for both builds, which otherwise build what they share in turns.
-    r2r::prepare_libclang(steps, parts.contains(&Part::RmwWheel));
-    if parts.contains(&Part::RmwWheel) {
+    let has_rmw = parts.iter().any(|part| part.has_rmw());
+    r2r::prepare_libclang(steps, has_rmw);
+    if has_rmw {
         steps.step("dist: build rmw_tautline", || rmw::build_for_use().map(drop));
     }
     if parts.iter().any(|part| part.has_programs()) {
@@ -128,7 +138,7 @@ fn verify() -> Result<(), String> {
 /// What CI makes, of the tests' build; then it is installed and used.
 pub fn test(steps: &mut Steps) {
     let dist = Dist::new(Build::Tests);
-    dist.make(steps, &[Part::Tarball, Part::Deb, Part::Wheel, Part::RmwWheel]);
+    dist.make(steps, &[Part::Tarball, Part::Deb, Part::Wheel, Part::RmwWheel, Part::RmwDeb]);
     pages::test(steps, &dist.out);
 }
 
@@ -140,6 +150,10 @@ pub fn test_crates(steps: &mut Steps) {
 impl Part {
     fn has_programs(self) -> bool {
         matches!(self, Part::Tarball | Part::Deb | Part::Wheel)
+    }
+
+    fn has_rmw(self) -> bool {
+        matches!(self, Part::RmwWheel | Part::RmwDeb)
     }
 }
 
@@ -191,7 +205,9 @@ impl Dist {
                 Part::Crates => crates::make(&self.out, self.of).into(),
                 Part::Sbom => install_cyclonedx().and_then(|()| self.pack("sbom", glibc)).into(),
                 Part::Tarball | Part::Deb => self.pack(&word(*part), glibc).into(),
-                Part::Wheel | Part::RmwWheel => Outcome::from(self.wheel(*part, glibc)).unless_ci(),
+                Part::Wheel | Part::RmwWheel | Part::RmwDeb => {
+                    Outcome::from(self.with_tools(*part, glibc)).unless_ci()
+                }
             });
         }
         let packed = "cd \"$0\" && find . -path ./work -prune -o -type f ! -name SHA256SUMS -printf '%P\\n' | LC_ALL=C sort \
@@ -199,7 +215,8 @@ impl Dist {
         steps.command("dist: sums", Command::new("sh").args(["-euc", packed]).arg(&self.out));
     }
 
-    fn wheel(&self, part: Part, glibc: Version) -> Result<(), String> {
+    /// What tools from PyPI make.
+    fn with_tools(&self, part: Part, glibc: Version) -> Result<(), String> {
         ros::make_venv(&tools(), &TOOLS, || Ok("python3".to_owned()))?;
         let text =
             fs::read_to_string(machine::root().join("README.md")).map_err(|error| error.to_string())?;
@@ -207,7 +224,7 @@ impl Dist {
         fs::create_dir_all(self.out.join("work"))
             .and_then(|()| fs::write(&page, book::in_repository(&text, Path::new("README.md"))))
             .map_err(|error| format!("{}: {error}", page.display()))?;
-        let glibc = if part == Part::RmwWheel {
+        let glibc = if part.has_rmw() {
             self.add_licences("rmw-notices.txt", "rmw/Cargo.toml", &["rmw_tautline"])?;
             self.glibc(&[self.of.folder().join(RMW)])?
         } else {
@@ -241,6 +258,7 @@ impl Dist {
         command.env("SOURCE_DATE_EPOCH", time).env("VERSION", VERSION);
         command.env("CYCLONEDX", machine::target_dir().join("tools/bin/cargo-cyclonedx"));
         command.env("GLIBC", format!("{}.{}", glibc.0, glibc.1)).env("MACHINE", architecture.name());
+        command.env("DISTRIBUTION", ros::distribution());
         command.env("ARCHITECTURE", architecture.to_string()).env("STRIP", architecture.tool("strip"));
         let here = if architecture.is_here() { self.of } else { Build::Tests };
         command.env("HERE", here.folder());

@@ -23,6 +23,7 @@ pub use debian::Architecture;
 use emulator::Report;
 use image::Image;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::{fs, io};
 
 /// A kind of emulated machine.
@@ -45,6 +46,8 @@ pub enum Extent {
     /// What depends most on the kernel, in minutes.
     Quick,
     Whole,
+    /// The programs of the `.deb` that `cargo xtask dist` has made, and nothing that is built for tests.
+    Packages,
 }
 
 /// What is built for a guest.
@@ -102,20 +105,24 @@ pub fn run(steps: &mut Steps, named: &[Guest], extent: Extent) {
 /// A step for each guest, with what the tests' build of `targets` makes where this machine can run it; then a table.
 pub fn test(steps: &mut Steps, guests: &[Guest], extent: Extent, targets: &str) {
     let mut reports = Vec::new();
-    for architecture in [Architecture::Amd64, Architecture::Arm64] {
+    for architecture in Architecture::value_variants().iter().copied() {
         let guests: Vec<_> = guests.iter().filter(|guest| guest.architecture() == architecture).collect();
         let mut built = Vec::new();
-        if guests.iter().any(|guest| guest.is_there()) {
-            let name = format!("guests: build for {architecture}");
-            steps.step(&name, || build(architecture, targets).map(|all| built = all));
-        }
+        let is_built = extent == Extent::Packages
+            || guests.iter().any(|guest| guest.is_there())
+                && steps.step(&format!("guests: build for {architecture}"), || {
+                    build(architecture, targets).map(|all| built = all)
+                });
         for guest in guests {
             let name = format!("guest {}", word(*guest));
-            match (guest.is_there(), built.is_empty()) {
+            match (guest.is_there(), is_built) {
                 (false, _) => steps.skip(&name, "without its packages"),
-                (true, true) => steps.skip(&name, "not built"),
-                (true, false) => drop(steps.step(&name, || {
-                    let report = guest.run(&built, extent)?;
+                (true, false) => steps.skip(&name, "not built"),
+                (true, true) => drop(steps.step(&name, || {
+                    let report = guest.run(|image| match extent {
+                        Extent::Packages => package(architecture, image),
+                        _ => tests(&built, extent, image),
+                    })?;
                     let verdict = report.verdict();
                     reports.push((word(*guest), report));
                     verdict
@@ -191,44 +198,64 @@ impl Guest {
         })
     }
 
-    fn run(self, built: &[Executable], extent: Extent) -> Result<Report, String> {
-        let (system, name) = (self.system(), word(self));
+    /// Makes its file system, whose `pack` returns its jobs, and boots it.
+    fn run(self, pack: impl FnOnce(&mut Image) -> io::Result<String>) -> Result<Report, String> {
+        let (system, name, of) = (self.system(), word(self), self.architecture());
         let path = debian::folder().join(format!("{name}.cpio"));
-        self.pack(&path, &system, built, extent).map_err(|error| format!("{}: {error}", path.display()))?;
-        emulator::run(&name, self.architecture(), &image::kernel(&system)?, &path)
+        let packed = Image::new(&path, &system, of).and_then(|mut image| {
+            let jobs = pack(&mut image)?;
+            image.file("jobs", jobs.as_bytes())?;
+            image.finish()
+        });
+        packed.map_err(|error| format!("{}: {error}", path.display()))?;
+        emulator::run(&name, of, &image::kernel(&system)?, &path)
     }
+}
 
-    /// Makes its file system.
-    fn pack(self, path: &Path, system: &Path, built: &[Executable], extent: Extent) -> io::Result<()> {
-        let mut image = Image::new(path, system, self.architecture())?;
-        let mut jobs = String::new();
-        for executable in built {
-            let folder = executable.folder.strip_prefix(machine::root()).unwrap_or(&executable.folder);
-            if let Some(name) = tested(executable, folder, extent) {
-                image.program(&format!("tests/{}", name.replace('/', "-")), &executable.path)?;
-                jobs += &format!("tests {name}\n");
-            } else if !executable.is_test && (folder.starts_with("examples") || executable.target == "taut") {
-                image.program(&format!("programs/{}", executable.target), &executable.path)?;
-            }
+/// Tests, examples and the demo.
+fn tests(built: &[Executable], extent: Extent, image: &mut Image) -> io::Result<String> {
+    let mut jobs = String::new();
+    for executable in built {
+        let folder = executable.folder.strip_prefix(machine::root()).unwrap_or(&executable.folder);
+        if let Some(name) = tested(executable, folder, extent) {
+            image.program(&format!("tests/{}", name.replace('/', "-")), &executable.path)?;
+            jobs += &format!("tests {name}\n");
+        } else if !executable.is_test && (folder.starts_with("examples") || executable.target == "taut") {
+            image.program(&format!("programs/{}", executable.target), &executable.path)?;
         }
-        let is_wanted = |programs: &&[&str]| extent == Extent::Whole || QUICK_EXAMPLES.contains(&programs[0]);
-        for programs in examples::RUNS.into_iter().filter(is_wanted) {
-            for name in programs.iter().map(|program| examples::name_of(program)) {
-                image.file(&format!("expected/{name}.txt"), &fs::read(examples::expected(name))?)?;
-            }
-            jobs += &format!("program 'example {0}' /init together '{0}'\n", programs.join("|"));
-        }
-        // Examples look for their system files where they were built.
-        for file in fs::read_dir(machine::root().join("examples/systems"))?.flatten().map(|file| file.path())
-        {
-            if file.is_file() {
-                image.file(file.to_string_lossy().trim_start_matches('/'), &fs::read(&file)?)?;
-            }
-        }
-        jobs += "program demo taut demo --seconds 3\nprogram doctor /init doctor\n";
-        image.file("jobs", jobs.as_bytes())?;
-        image.finish()
     }
+    let is_wanted = |programs: &&[&str]| extent == Extent::Whole || QUICK_EXAMPLES.contains(&programs[0]);
+    for programs in examples::RUNS.into_iter().filter(is_wanted) {
+        for name in programs.iter().map(|program| examples::name_of(program)) {
+            image.file(&format!("expected/{name}.txt"), &fs::read(examples::expected(name))?)?;
+        }
+        jobs += &format!("program 'example {0}' /init together '{0}'\n", programs.join("|"));
+    }
+    // Examples look for their system files where they were built.
+    for file in fs::read_dir(machine::root().join("examples/systems"))?.flatten().map(|file| file.path()) {
+        if file.is_file() {
+            image.file(file.to_string_lossy().trim_start_matches('/'), &fs::read(&file)?)?;
+        }
+    }
+    Ok(jobs + "program demo taut demo --seconds 3\nprogram doctor /init doctor\n")
+}
+
+/// The programs of the `.deb`, as they are in it.
+fn package(architecture: Architecture, image: &mut Image) -> io::Result<String> {
+    let name = format!("tautline_{}_{architecture}.deb", env!("CARGO_PKG_VERSION"));
+    let (deb, to) = (machine::target_dir().join("dist").join(name), debian::folder().join("package"));
+    let _ = fs::remove_dir_all(&to);
+    steps::execute(Command::new("dpkg").arg("-x").args([&deb, &to])).map_err(|reason| {
+        let make = format!("cargo xtask dist --only deb --architecture {architecture}");
+        io::Error::other(format!("{}: {reason}: `{make}` makes it", deb.display()))
+    })?;
+    for program in fs::read_dir(to.join("usr/bin"))?.flatten() {
+        let name = format!("programs/{}", program.file_name().to_string_lossy());
+        image.file(&name, &fs::read(program.path())?)?;
+    }
+    Ok("program version taut --version\nprogram bounds /init bounds\nprogram hosts /init hosts\n\
+        program demo taut demo --seconds 3\nprogram doctor /init doctor\n"
+        .to_owned())
 }
 
 /// The name by which an executable's tests are shown, if they are run. A library's have its folder's name.

@@ -174,7 +174,7 @@ enum Verb {
     },
     /// Tests the gateway against hiroz, zenoh-ros2-sdk (made under target/peers) and an rmw_zenoh_cpp that is sourced or that
     /// `TAUT_RMW_ZENOH` names; minutes to build
-    Peers,
+    Peers(Ros),
     /// Runs the programs of the tests of tautline-r2r on r2r, with the ROS 2 that is sourced or that under target/ros
     R2r,
     /// Builds r2r's own tests and examples, unchanged, on Tautline, and runs them; some minutes
@@ -232,6 +232,7 @@ minutes to build."
   cargo xtask guests                          all, an hour: for aarch64 everything is built once more
   cargo xtask guests --only rt-x86 --quick    what CI runs, some minutes
   cargo xtask guests --only arm64-16k
+  cargo xtask guests --only arm64 --packages  the programs of `cargo xtask dist --architecture arm64`
 
 QEMU emulates them (Debian: qemu-system-x86, qemu-system-arm; for aarch64 also gcc-aarch64-linux-gnu);
 kernels are Debian's, fetched with apt-get. It shows that programs work there, not how fast, nor that
@@ -243,12 +244,16 @@ they get by with ARM's weak memory order.")]
         /// Only what depends most on the kernel
         #[arg(long)]
         quick: bool,
+        /// Instead of tests, start the programs of the `.deb` that `cargo xtask dist` has made
+        #[arg(long, conflicts_with = "quick")]
+        packages: bool,
     },
     /// Makes what is installed without a checkout, of a release build, into the target directory's `dist`
     #[command(after_help = "Examples:
   cargo xtask dist                     all, some minutes
   cargo xtask dist --only tarball,deb
   cargo xtask dist --architecture arm64   tarball, .deb and wheel for Raspberry Pi 5 and others
+  cargo xtask dist --distro kilted     rmw_tautline's .deb for Kilted
   cargo xtask dist --only crates       also checks that all published crates build without this repository
 
 Wheels need Python 3.11 and PyPI, the SBOM a tool that is built in a minute. Each file names a glibc of 2.35 at most, or it is refused.")]
@@ -262,6 +267,8 @@ Wheels need Python 3.11 and PyPI, the SBOM a tool that is built in a minute. Eac
         /// Build the programs of the last commit once more in another folder, and compare their bytes
         #[arg(long, conflicts_with = "architecture")]
         verify: bool,
+        #[command(flatten)]
+        ros: Ros,
     },
     /// Checks that all is committed, has one version and a section in the changelog; makes the packages and tags the commit, here alone
     Release {
@@ -269,8 +276,10 @@ Wheels need Python 3.11 and PyPI, the SBOM a tool that is built in a minute. Eac
         #[arg(long)]
         dry_run: bool,
     },
-    /// Compares the crates' surfaces with those of the last tag: `cargo install --locked cargo-semver-checks`
+    /// Compares the crates' surfaces with those of the last tag, with cargo-semver-checks, which it builds unless it is there
     Semver,
+    /// Runs a program beside that of the last tag, or of another layout of shared memory: neither may misread the other
+    Versions,
     /// Tries to break something by doing it very often
     #[command(subcommand)]
     Stress(Stress),
@@ -351,23 +360,32 @@ fn main() -> ExitCode {
             ros::choose(distro);
             if test { as_steps_with_ros(rmw::test) } else { exit(rmw::run()) }
         }
-        Verb::Peers => as_steps_with_ros(peers::build_and_test),
+        Verb::Peers(Ros { distro }) => {
+            ros::choose(distro);
+            as_steps_with_ros(peers::build_and_test)
+        }
         Verb::R2r => as_steps_with_ros(programs::test),
         Verb::R2rTests => as_steps_with_ros(|steps| r2r_tests::build(steps).run(steps)),
         Verb::Bench(bench) => exit(bench.run()),
         Verb::Readme { quick, only, minutes } => exit(readme::run(quick, minutes, &only)),
         Verb::Miri => as_steps(ci::miri),
         Verb::Fuzz { runs, targets } => as_steps(|steps| fuzz::run(steps, runs, &targets)),
-        Verb::Guests { only, quick } => as_steps(|steps| {
-            let extent = if quick { Extent::Quick } else { Extent::Whole };
+        Verb::Guests { only, quick, packages } => as_steps(|steps| {
+            let extent = match (quick, packages) {
+                (_, true) => Extent::Packages,
+                (true, _) => Extent::Quick,
+                _ => Extent::Whole,
+            };
             guests::run(steps, &only, extent);
         }),
-        Verb::Dist { only, architecture, verify } => as_steps(|steps| {
+        Verb::Dist { only, architecture, verify, ros: Ros { distro } } => as_steps(|steps| {
+            ros::choose(distro);
             let architecture = architecture.unwrap_or_else(guests::Architecture::here);
             dist::run(steps, &only, architecture, verify);
         }),
         Verb::Release { dry_run } => as_steps(|steps| release::run(steps, dry_run)),
-        Verb::Semver => as_steps(|steps| _ = steps.step("semver", release::semver)),
+        Verb::Versions => as_steps(|steps| _ = steps.step("versions", release::beside_another_version)),
+        Verb::Semver => as_steps(|steps| _ = steps.step("semver", || release::semver(true))),
         Verb::Stress(Stress::Doorbell { rings }) => {
             exit(steps::execute(&mut stress_doorbell(Build::Release, rings)))
         }
@@ -439,4 +457,29 @@ fn stress_kills(steps: &mut Steps, build: Build, kills: u64, seed: Option<u64>, 
     steps.command("stress: kills at random", &mut command(&format!("random --kills {kills}")));
     let all = if exhaustive { "syscalls --all" } else { "syscalls" };
     steps.command("stress: kills at system calls", &mut command(all));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// There is no Docker where CI runs: what the image installs, CI installs elsewhere.
+    #[test]
+    fn the_image_is_made_of_a_deb_and_run_as_the_documents_say() {
+        let root = machine::root();
+        let read = |file: &str| std::fs::read_to_string(root.join(file)).unwrap();
+        let (image, page) = (read("Containerfile"), read("docs/deployment.md"));
+        let after = |begin: &str| image.lines().find_map(|line| line.strip_prefix(begin)).unwrap();
+        let Verb::Dist { only, .. } = Cli::parse_from(after("RUN cargo ").split(' ')).verb else {
+            panic!("the image is not made by `dist`");
+        };
+        assert!(only == [Part::Deb]);
+        let (options, _) = after("#   docker run ").split_once(" tautline").unwrap();
+        assert!(page.contains(&format!("docker run {options} tautline")), "{options}");
+        let reasons = image.lines().filter(|line| line.starts_with("# --")).collect::<String>();
+        for option in options.split(" --").filter(|option| *option != "--rm") {
+            let name = option.split([' ', '=']).next().unwrap_or_default();
+            assert!(reasons.contains(&format!("--{name}")), "{name}");
+        }
+    }
 }

@@ -21,8 +21,12 @@ const PAGES: [&str; 8] = [
     "docs/from-r2r.md",
 ];
 
-/// The page after whose commands it is tried what is refused: it has installed both wheels and written nodes.
-const WITH_REFUSALS: &str = "docs/from-rclpy.md";
+/// Pages after whose commands more is tried: one has installed both wheels and written nodes, the others wheels or the `.deb`.
+const WITH_MORE: [(&str, &str); 3] = [
+    ("docs/from-rclpy.md", "xtask/src/dist/refused.sh"),
+    ("docs/start.md", "xtask/src/dist/installed.sh"),
+    ("docs/rmw.md", "xtask/src/dist/installed_rmw.sh"),
+];
 
 /// Why commands are not run there.
 const REASONS: [(&str, &str); 5] = [
@@ -95,8 +99,8 @@ fn run(page: &str, packages: &Path) -> Result<(), String> {
     if !is_run {
         return Ok(());
     }
-    if page == WITH_REFUSALS {
-        script += &read("xtask/src/dist/refused.sh")?;
+    if let Some((_, more)) = WITH_MORE.iter().find(|(of, _)| *of == page) {
+        script += &read(more)?;
     }
     script += "say done\n";
     let (work, bare) = (packages.join("work"), machine::target_dir().join("bare"));

@@ -1,11 +1,17 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `cargo xtask release`: checks what a release needs, makes its packages and tags it, here alone. And whether the published crates still have what those
-//! of the last tag had.
+//! of the last tag had, and how programs of both get on with each other.
 
+use crate::build::{Build, SAME};
 use crate::guests::Architecture;
-use crate::steps::{Outcome, Steps, execute};
-use crate::{dist, machine};
+use crate::machine::Scope;
+use crate::running::Running;
+use crate::steps::{Outcome, Steps, cargo, execute};
+use crate::{dist, lints, machine};
+use std::fs;
+use std::path::Path;
 use std::process::Command;
+use std::time::{Duration, Instant};
 
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
@@ -22,7 +28,8 @@ pub fn run(steps: &mut Steps, dry_run: bool) {
     });
     // Before the first release there is nothing to compare with.
     if last_tag().is_some() {
-        steps.step("release: semver", semver);
+        steps.step("release: semver", || semver(true));
+        steps.step("release: versions", beside_another_version);
     }
     let then = format!("git push origin {tag}, and publish what is in the target directory's `dist`");
     if !dry_run && steps.are_all_ok() {
@@ -42,20 +49,81 @@ pub fn run(steps: &mut Steps, dry_run: bool) {
     }
 }
 
-/// What CI runs: the crates of the working tree beside those of the last tag. Each is checked by itself, as the tool's issue 638 says of items that
-/// one crate exports of another.
-pub fn semver() -> Outcome {
+/// The crates of the working tree beside those of the last tag. Each is checked by itself, as the tool's issue 638 says of items that one crate exports
+/// of another. The tool takes minutes to build, and no registry has it built: CI uses it where it is there, `is_made` makes it.
+pub fn semver(is_made: bool) -> Outcome {
     let Some(tag) = last_tag() else {
         return Outcome::Skipped("there is no tag v* to compare with (git fetch --tags)".to_owned());
     };
-    if let Err(reason) = machine::cargo_has("semver-checks --version") {
-        let install = "cargo install --locked cargo-semver-checks";
-        return Outcome::Skipped(format!("cargo-semver-checks is not there ({reason}): {install}"));
+    let root = machine::target_dir().join("tools");
+    let tool = root.join("bin/cargo-semver-checks");
+    if machine::cargo_has("semver-checks --version").is_err() && !tool.is_file() {
+        if !is_made {
+            return Outcome::Skipped("`cargo xtask semver` builds what compares, in minutes".to_owned());
+        }
+        let install = "install --quiet --debug --locked cargo-semver-checks --version 0.51.0";
+        if let Err(reason) = execute(cargo(install).arg("--root").arg(&root)) {
+            return Outcome::Failed(reason);
+        }
     }
     // It leaves out crates with `publish = false`. Not all features: LTTng's is a library of the host's.
     let mut command = Command::new("cargo");
     command.args(["semver-checks", "--workspace", "--default-features", "--baseline-rev", &tag]);
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let path = std::iter::once(root.join("bin")).chain(std::env::split_paths(&path));
+    command.envs(std::env::join_paths(path).map(|path| ("PATH", path)));
     execute(command.current_dir(machine::root())).into()
+}
+
+/// Runs a participant beside one of the last tag, of which each hears the other, or names it as of another version. Where no tag has the program, the
+/// other one is this commit's, with another number of its layout: then nothing may be heard.
+pub fn beside_another_version() -> Result<(), String> {
+    const PROGRAM: &str = "transport/examples/participant.rs";
+    let has_program = |tag: &String| stdout_of(git("cat-file -e").arg(format!("{tag}:{PROGRAM}"))).is_ok();
+    let tag = last_tag().filter(has_program);
+    let (target, source) = (machine::target_dir(), machine::target_dir().join("other-version"));
+    let _ = fs::remove_dir_all(&source);
+    execute(git("clone --quiet --shared").arg(machine::root()).arg(&source))?;
+    match &tag {
+        Some(tag) => execute(git("-C").arg(&source).args(["checkout", "--quiet", tag]))?,
+        None => count_up(&source.join("transport/src/memory/file.rs"))?,
+    }
+    let build = |root: &Path, cargo: fn(&str) -> Command| {
+        let mut build = cargo(&format!("build -p tautline-transport --example participant {SAME}"));
+        execute(build.arg("--target-dir").arg(&target).current_dir(root))
+    };
+    let (own, other) = (Build::Tests.folder().join("examples/participant"), source.join("participant"));
+    // Of the other one nobody reads lints.
+    build(&source, cargo)?;
+    fs::copy(&own, &other).map_err(|error| format!("{}: {error}", other.display()))?;
+    build(&machine::root(), lints::cargo)?;
+
+    let (scope, end) = (Scope::new("versions"), Instant::now() + Duration::from_secs(60));
+    let start = |program: &Path| Running::start(Command::new(program).env("TAUT_SCOPE", scope.name()), true);
+    let mut both = [start(&own)?, start(&other)?];
+    let is_refused = |said: &str| said.contains(" is of another version of Tautline: ");
+    let has_heard = |said: &str| said.contains("heard ");
+    for one in &mut both {
+        let status = one.wait_until(end, |said| is_refused(said) || has_heard(said));
+        let said = one.said();
+        // Who refuses the domain itself ends.
+        if !(is_refused(&said) || has_heard(&said) && status.is_none() && tag.is_some()) {
+            return Err(format!("it neither heard the other ({tag:?}) nor named it: {said}"));
+        }
+        println!("{}", said.lines().last().unwrap_or_default());
+    }
+    Ok(())
+}
+
+/// Gives a copy of this commit another number of its participants' layout.
+fn count_up(path: &Path) -> Result<(), String> {
+    const LINE: &str = "pub(crate) const VERSION: u32 = ";
+    let text = fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
+    let other = text.replacen(LINE, &format!("{LINE}1000 + "), 1);
+    if other == text {
+        return Err(format!("{} has no `{LINE}`", path.display()));
+    }
+    fs::write(path, other).map_err(|error| format!("{}: {error}", path.display()))
 }
 
 /// The newest one that is part of this commit's history.

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A run: the system file and the statistics of callbacks, read from shared memory or from a saved file.
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -9,6 +10,7 @@ use tautline_executor::{Admitted, CallbackSnapshot, ForeignStatistics, ProcessSn
 
 use super::ReportError;
 use crate::moment::Moment;
+use crate::replace::NewFile;
 
 /// The first member of a saved run. The number changes when older programs would misread the file.
 const FORMAT: &str = "tautline run 1";
@@ -199,11 +201,9 @@ impl Run {
     /// Writes the run to a file, which appears only when it is complete.
     pub fn save(&self, path: &Path) -> Result<(), ReportError> {
         let refuse = |source| ReportError::Write { path: path.into(), source };
-        let mut partial = path.as_os_str().to_owned();
-        partial.push(".partial");
         let text = serde_json::to_string(self).map_err(|error| refuse(error.into()))?;
-        std::fs::write(&partial, text + "\n").map_err(refuse)?;
-        std::fs::rename(&partial, path).map_err(refuse)
+        let mut file = NewFile::create(path).map_err(refuse)?;
+        file.write_all((text + "\n").as_bytes()).and_then(|()| file.finish()).map_err(refuse)
     }
 }
 

@@ -11,6 +11,7 @@ pub mod record;
 pub mod recording;
 mod ways;
 
+use crate::replace::NewFile;
 use crate::verb::{CommonArgs, Verbs};
 use clap::{Args, Subcommand};
 use std::io::{self, Write};
@@ -137,14 +138,7 @@ fn write_to(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -
         };
     }
     let refuse = |source| TraceError::Write { path: path.to_owned(), source };
-    let mut unfinished = path.to_owned().into_os_string();
-    unfinished.push(".unfinished");
-    let unfinished = PathBuf::from(unfinished);
-    let file = std::fs::File::create(&unfinished).map_err(refuse)?;
-    let mut to = io::BufWriter::new(file);
-    let written = write(&mut to).and_then(|()| to.flush()).and_then(|()| std::fs::rename(&unfinished, path));
-    written.map_err(|source| {
-        let _ = std::fs::remove_file(&unfinished);
-        refuse(source)
-    })
+    let mut to = io::BufWriter::new(NewFile::create(path).map_err(refuse)?);
+    let written = write(&mut to).and_then(|()| to.flush());
+    written.and_then(|()| to.get_mut().finish()).map_err(refuse)
 }

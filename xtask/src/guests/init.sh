@@ -55,7 +55,20 @@ doctor() {
     grep -qE '"check":"budgets"[^}]*\(tried\)' /tmp/doctor && grep -q 'this is a virtual machine' /tmp/doctor && ! grep -q arch_timer /tmp/doctor
 }
 
-case $1 in together | doctor) "$@"; exit $? ;; esac
+# A new system file has bounds.
+bounds() {
+    taut init /tmp/robot.toml && taut check /tmp/robot.toml
+}
+
+# A message crosses two gateways.
+hosts() {
+    taut gateway --domain 1 --listen tcp/127.0.0.1:7447 &
+    taut gateway --domain 2 --network-domain 1 --connect tcp/127.0.0.1:7447 --listen tcp/127.0.0.1:0 &
+    taut topic pub --domain 1 /chatter std_msgs/msg/String '{data: hello}' --rate 10 &
+    taut topic echo --domain 2 /chatter --once --timeout 200s
+}
+
+case $1 in together | doctor | bounds | hosts) "$@"; exit $? ;; esac
 
 /bin/busybox mkdir -p /proc /sys /dev /tmp /run /root
 /bin/busybox --install -s /bin

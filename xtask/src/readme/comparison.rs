@@ -4,7 +4,7 @@
 /// The columns, by their headings there.
 const COLUMNS: [&str; 6] = ["system", "64 B", "1 MiB", "8 MiB", "1 kHz under load, p99.9", "robot: CPU"];
 /// The systems, each in a mode that sleeps until a message arrives; Tautline's busy polling; Fast DDS also as ROS 2 ships it.
-const ROWS: [&str; 9] = [
+const ROWS: [&str; 10] = [
     "floor, futex",
     "tautline, blocking",
     "tautline, busy-poll",
@@ -14,6 +14,7 @@ const ROWS: [&str; 9] = [
     "fastdds, default",
     "r2r, typed",
     "zenoh, shm",
+    "hiroz, pub-sub",
 ];
 
 /// The README's table, from the whole one. A system that was not measured has no row.
