@@ -251,21 +251,18 @@ pub struct CoreEntry {
 
 /// Why a system file could not be used.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 pub enum FileError {
     /// It could not be read.
     #[error("`{}` cannot be read: {source}", path.display())]
     Read {
-        /// The file.
         path: PathBuf,
-        /// The operating system's error.
         source: std::io::Error,
     },
     /// Its content is wrong.
     #[error("`{}` has {} problem(s):\n{source}", path.display(), source.0.len())]
     Content {
-        /// The file.
         path: PathBuf,
-        /// All that is wrong with it.
         source: Problems,
     },
 }
