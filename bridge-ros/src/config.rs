@@ -37,23 +37,14 @@ pub struct Problem {
 
 /// Why a file cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 pub enum ConfigError {
     /// It cannot be read.
     #[error("{} cannot be read: {source}", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
+    Read { path: PathBuf, source: std::io::Error },
     /// Its content is invalid.
     #[error("{} has {} problem(s):\n{}", path.display(), problems.len(), listed(problems))]
-    Content {
-        /// The file.
-        path: PathBuf,
-        /// All of them, in the order of the lines.
-        problems: Vec<Problem>,
-    },
+    Content { path: PathBuf, problems: Vec<Problem> },
 }
 
 fn listed(problems: &[Problem]) -> String {
