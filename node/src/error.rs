@@ -231,4 +231,4 @@ impl std::fmt::Debug for Error {
 }
 
 /// The result of setting something up.
-pub type Result<T> = std::result::Result<T, Error>;
+pub type Result<T, E = Error> = std::result::Result<T, E>;

@@ -54,6 +54,30 @@ macro_rules! debug_fields {
     };
 }
 
+/// The names of an enum's variants, in one table: `ALL` variants in its order and the name of each, or only what displays them.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! names {
+    ($type:ident: Display { $($variant:ident: $name:literal),+ $(,)? }) => {
+        impl ::core::fmt::Display for $type {
+            fn fmt(&self, f: &mut ::core::fmt::Formatter<'_>) -> ::core::fmt::Result {
+                f.write_str(match self { $(Self::$variant => $name),+ })
+            }
+        }
+    };
+    ($type:ident: $all_vis:vis ALL[$count:literal], $vis:vis $method:ident { $($variant:ident: $name:literal),+ $(,)? }) => {
+        impl $type {
+            /// Every one, in the order of their numbers.
+            $all_vis const ALL: [$type; $count] = [$($type::$variant),+];
+
+            /// Its name in texts.
+            $vis const fn $method(self) -> &'static str {
+                match self { $(Self::$variant => $name),+ }
+            }
+        }
+    };
+}
+
 mod budget;
 mod caches;
 mod core_time;

@@ -10,7 +10,7 @@ use super::paths;
 use super::places::{self, Place};
 use super::priorities::{self, Thread};
 use super::problem::{Collector, Problems};
-use super::reader::{At, Section};
+use super::reader::{self, At, Section};
 use super::reservations;
 use super::sections;
 use super::streams::{First, Source, Streams};
@@ -21,17 +21,7 @@ use crate::{Hold, Order, Overheads, Release, Task, Throttling};
 
 pub(super) fn build(text: &str) -> Result<SystemFile, Problems> {
     let problems = Collector::new(text);
-    let (table, errors) = toml::de::DeTable::parse_recoverable(text);
-    if !errors.is_empty() {
-        // What a broken table contains is guesswork: only its syntax is reported.
-        for error in errors {
-            problems.at(error.span().map_or(0, |span| span.start)).add(format!(
-                "{}: write this line as TOML, such as `wcet = \"1.5ms\"` below `[callbacks.scan]`; text is in quotes",
-                error.message().trim_end().replace('\n', ", ")
-            ));
-        }
-    }
-    problems.check()?;
+    let table = reader::parse(&problems, text, "`wcet = \"1.5ms\"` below `[callbacks.scan]`")?;
     let mut root = Section::root(&table, &problems);
     // Of another version all keys may mean something else: nothing but that is reported.
     version::check(&mut root);

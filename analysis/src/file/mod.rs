@@ -19,7 +19,7 @@ mod paths;
 mod places;
 mod priorities;
 mod problem;
-mod reader;
+pub mod reader;
 mod reservations;
 mod sections;
 mod streams;
@@ -255,16 +255,10 @@ pub struct CoreEntry {
 pub enum FileError {
     /// It could not be read.
     #[error("`{}` cannot be read: {source}", path.display())]
-    Read {
-        path: PathBuf,
-        source: std::io::Error,
-    },
+    Read { path: PathBuf, source: std::io::Error },
     /// Its content is wrong.
     #[error("`{}` has {} problem(s):\n{source}", path.display(), source.0.len())]
-    Content {
-        path: PathBuf,
-        source: Problems,
-    },
+    Content { path: PathBuf, source: Problems },
 }
 
 impl SystemFile {

@@ -30,16 +30,17 @@ impl fmt::Display for Problems {
 impl std::error::Error for Problems {}
 
 /// Collects problems by their place in the text.
-pub(super) struct Collector<'a> {
+pub struct Collector<'a> {
     text: &'a str,
     found: RefCell<Vec<(usize, String)>>,
     hints: Cell<u32>,
 }
 
 /// Adds a problem at a place in the text.
-pub(super) struct Adder<'c>(&'c Collector<'c>, usize);
+pub struct Adder<'c>(&'c Collector<'c>, usize);
 
 impl Adder<'_> {
+    /// Adds what is wrong there, and how to fix it.
     pub fn add(&self, message: impl Into<String>) {
         // What the file contains does not reach a terminal as it is.
         let mut shown = String::new();
@@ -54,29 +55,29 @@ impl Adder<'_> {
 }
 
 impl<'a> Collector<'a> {
-    pub fn new(text: &'a str) -> Self {
+    pub(super) fn new(text: &'a str) -> Self {
         Self { text, found: RefCell::default(), hints: Cell::new(0) }
     }
 
     /// For a problem at this place: `problems.at(at).add(...)`.
-    pub fn at(&self, at: usize) -> Adder<'_> {
+    pub(super) fn at(&self, at: usize) -> Adder<'_> {
         Adder(self, at)
     }
 
     /// `: did you mean ...?` if a known name is close to the one given, else nothing. A file of which nothing fits gets no more hints than a
     /// person reads: each compares all names.
-    pub fn suggestion<'n>(&self, given: &str, known: impl IntoIterator<Item = &'n str>) -> String {
+    pub(super) fn suggestion<'n>(&self, given: &str, known: impl IntoIterator<Item = &'n str>) -> String {
         const MOST_HINTS: u32 = 50;
         self.hints.update(|hints| hints.saturating_add(1));
         if self.hints.get() > MOST_HINTS { String::new() } else { suggestion(given, known) }
     }
 
     /// Ends with all problems that were found, if there are any.
-    pub fn check(&self) -> Result<(), Problems> {
+    pub(super) fn check(&self) -> Result<(), Problems> {
         if self.found.borrow().is_empty() { Ok(()) } else { Err(self.take()) }
     }
 
-    pub fn take(&self) -> Problems {
+    pub(super) fn take(&self) -> Problems {
         let mut found = self.found.take();
         found.sort();
         found.dedup();

@@ -1,32 +1,65 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Reading typed values out of TOML, noting every problem instead of stopping at the first.
+//! Reading typed values out of TOML, noting every problem instead of stopping at the first. Also for files of other programs.
 use std::borrow::Cow;
+use std::ops::RangeInclusive;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::problem::{Adder, Collector, is_unprintable};
+use super::problem::{Adder, Collector, Problems, is_unprintable};
 
 /// A value and where it stands in the text.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct At<T> {
+pub struct At<T> {
+    /// The value.
     pub value: T,
+    /// Its offset in bytes.
     pub at: usize,
 }
 
-type Value<'t> = Spanned<DeValue<'t>>;
+/// A value, not read yet.
+pub type Value<'t> = Spanned<DeValue<'t>>;
+
+/// What `read` makes of a file's text. `example` is a line of such a file.
+///
+/// # Errors
+/// What is no TOML, else everything that `read` found wrong.
+pub fn read<T>(text: &str, example: &str, read: impl FnOnce(Section<'_>) -> T) -> Result<T, Problems> {
+    let problems = Collector::new(text);
+    let table = parse(&problems, text, example)?;
+    let value = read(Section::root(&table, &problems));
+    problems.check().map(|()| value)
+}
+
+pub(super) fn parse<'t>(
+    problems: &Collector<'_>,
+    text: &'t str,
+    example: &str,
+) -> Result<Spanned<DeTable<'t>>, Problems> {
+    let (table, errors) = DeTable::parse_recoverable(text);
+    // What a broken table contains is guesswork: only its syntax is reported.
+    for error in errors {
+        let message = error.message().trim_end().replace('\n', ", ");
+        let at = error.span().map_or(0, |span| span.start);
+        problems
+            .at(at)
+            .add(format!("{message}: write this line as TOML, such as {example}; text is in quotes"));
+    }
+    problems.check().map(|()| table)
+}
 
 /// A table whose keys are asked for one by one; what nobody asked for is unknown.
-pub(super) struct Section<'t> {
+pub struct Section<'t> {
     table: &'t DeTable<'t>,
     /// Its name in messages, such as "callback `imu`".
     pub title: String,
+    /// Where it stands.
     pub at: usize,
     problems: &'t Collector<'t>,
     asked: Vec<&'static str>,
 }
 
 impl<'t> Section<'t> {
-    pub fn root(table: &'t Spanned<DeTable<'t>>, problems: &'t Collector<'t>) -> Self {
+    pub(super) fn root(table: &'t Spanned<DeTable<'t>>, problems: &'t Collector<'t>) -> Self {
         Self { table: table.get_ref(), title: "the file".into(), at: 0, problems, asked: Vec::new() }
     }
 
@@ -73,6 +106,7 @@ impl<'t> Section<'t> {
         entries.into_iter().filter_map(entry).collect()
     }
 
+    /// The table `key`.
     pub fn table(&mut self, key: &'static str) -> Option<Section<'t>> {
         let value = self.get(key)?;
         let at = self.table.get_key_value(key).map_or(0, |(key, _)| key.span().start);
@@ -92,6 +126,7 @@ impl<'t> Section<'t> {
         }
     }
 
+    /// A string.
     pub fn text(&mut self, key: &'static str) -> Option<At<String>> {
         self.get(key).and_then(|value| self.text_of(key, value))
     }
@@ -120,10 +155,44 @@ impl<'t> Section<'t> {
         Some(time)
     }
 
+    /// A whole number.
     pub fn integer(&mut self, key: &'static str) -> Option<At<i64>> {
         self.get(key).and_then(|value| self.integer_of(key, value))
     }
 
+    /// A whole number in this range.
+    pub fn integer_in<N: TryFrom<i64>>(
+        &mut self,
+        key: &'static str,
+        range: RangeInclusive<i64>,
+    ) -> Option<N> {
+        let At { value, at } = self.integer(key)?;
+        let number =
+            Some(value).filter(|value| range.contains(value)).and_then(|value| N::try_from(value).ok());
+        if number.is_none() {
+            let (least, most) = range.into_inner();
+            self.problem(at).add(format!("`{key}` is {value}: write a whole number from {least} to {most}"));
+        }
+        number
+    }
+
+    /// A number in this range, with a fraction or without.
+    pub fn number_in(&mut self, key: &'static str, range: RangeInclusive<f64>, unit: &str) -> Option<f64> {
+        let text = match self.raw(key)? {
+            DeValue::Integer(number) => number.as_str(),
+            DeValue::Float(number) => number.as_str(),
+            other => kind(other),
+        };
+        let number = text.parse().ok().filter(|number| range.contains(number));
+        if number.is_none() {
+            let (least, most) = range.into_inner();
+            let at = self.at(key).unwrap_or(self.at);
+            self.problem(at).add(format!("`{key}` is {text}: write {unit} from {least} to {most}"));
+        }
+        number
+    }
+
+    /// True or false; false if it is not there.
     pub fn flag(&mut self, key: &'static str) -> bool {
         let Some(value) = self.get(key) else { return false };
         let flag = value.get_ref().as_bool();
@@ -145,6 +214,7 @@ impl<'t> Section<'t> {
         found.map(|(_, value)| At { value: *value, at })
     }
 
+    /// The value as it is.
     pub fn raw(&mut self, key: &'static str) -> Option<&'t DeValue<'t>> {
         self.get(key).map(Spanned::get_ref)
     }
@@ -154,6 +224,7 @@ impl<'t> Section<'t> {
         self.get(key).map(|value| value.span().start)
     }
 
+    /// Whether there is such a key.
     pub fn has(&self, key: &str) -> bool {
         self.table.contains_key(key)
     }
@@ -191,6 +262,7 @@ impl<'t> Section<'t> {
         }
     }
 
+    /// A whole number in the array `key`.
     pub fn integer_of(&self, key: &str, value: &Value<'_>) -> Option<At<i64>> {
         let at = value.span().start;
         let number = match value.get_ref() {
@@ -204,6 +276,7 @@ impl<'t> Section<'t> {
         number.map(|value| At { value, at })
     }
 
+    /// A time in the array `key`.
     pub fn time_of(&self, key: &str, value: &Value<'_>) -> Option<At<u64>> {
         let at = value.span().start;
         let parsed = match value.get_ref() {

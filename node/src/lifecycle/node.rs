@@ -205,7 +205,7 @@ impl LifecycleNode {
     ///
     /// # Errors
     /// [`LifecycleError`]; the state does not change.
-    pub fn configure(&self) -> std::result::Result<Transitioned, LifecycleError> {
+    pub fn configure(&self) -> Result<Transitioned, LifecycleError> {
         self.change_state_by_label("configure")
     }
 
@@ -213,7 +213,7 @@ impl LifecycleNode {
     ///
     /// # Errors
     /// As [`configure`](Self::configure).
-    pub fn activate(&self) -> std::result::Result<Transitioned, LifecycleError> {
+    pub fn activate(&self) -> Result<Transitioned, LifecycleError> {
         self.change_state_by_label("activate")
     }
 
@@ -221,7 +221,7 @@ impl LifecycleNode {
     ///
     /// # Errors
     /// As [`configure`](Self::configure).
-    pub fn deactivate(&self) -> std::result::Result<Transitioned, LifecycleError> {
+    pub fn deactivate(&self) -> Result<Transitioned, LifecycleError> {
         self.change_state_by_label("deactivate")
     }
 
@@ -229,7 +229,7 @@ impl LifecycleNode {
     ///
     /// # Errors
     /// As [`configure`](Self::configure).
-    pub fn cleanup(&self) -> std::result::Result<Transitioned, LifecycleError> {
+    pub fn cleanup(&self) -> Result<Transitioned, LifecycleError> {
         self.change_state_by_label("cleanup")
     }
 
@@ -237,7 +237,7 @@ impl LifecycleNode {
     ///
     /// # Errors
     /// As [`configure`](Self::configure).
-    pub fn shutdown(&self) -> std::result::Result<Transitioned, LifecycleError> {
+    pub fn shutdown(&self) -> Result<Transitioned, LifecycleError> {
         self.change_state_by_label("shutdown")
     }
 
@@ -245,7 +245,7 @@ impl LifecycleNode {
     ///
     /// # Errors
     /// As [`configure`](Self::configure).
-    pub fn change_state(&self, id: u8) -> std::result::Result<Transitioned, LifecycleError> {
+    pub fn change_state(&self, id: u8) -> Result<Transitioned, LifecycleError> {
         let mut inner = self.try_lock()?;
         let transition = inner.machine.begin(id)?;
         Ok(inner.run(transition, &self.shared.state))
@@ -255,7 +255,7 @@ impl LifecycleNode {
     ///
     /// # Errors
     /// As [`configure`](Self::configure).
-    pub fn change_state_by_label(&self, label: &str) -> std::result::Result<Transitioned, LifecycleError> {
+    pub fn change_state_by_label(&self, label: &str) -> Result<Transitioned, LifecycleError> {
         let mut inner = self.try_lock()?;
         let transition = inner.machine.begin_by_label(label)?;
         Ok(inner.run(transition, &self.shared.state))
@@ -270,14 +270,11 @@ impl LifecycleNode {
     ///
     /// # Errors
     /// [`LifecycleError::Busy`].
-    pub fn with_node<R>(
-        &self,
-        action: impl FnOnce(&mut ManagedNode) -> R,
-    ) -> std::result::Result<R, LifecycleError> {
+    pub fn with_node<R>(&self, action: impl FnOnce(&mut ManagedNode) -> R) -> Result<R, LifecycleError> {
         Ok(action(&mut self.try_lock()?.node))
     }
 
-    fn try_lock(&self) -> std::result::Result<MutexGuard<'_, Inner>, LifecycleError> {
+    fn try_lock(&self) -> Result<MutexGuard<'_, Inner>, LifecycleError> {
         match self.shared.inner.try_lock() {
             Ok(inner) => Ok(inner),
             Err(TryLockError::Poisoned(poisoned)) => Ok(poisoned.into_inner()),
