@@ -20,25 +20,21 @@ pub trait View: Form {
     /// Checks a value.
     ///
     /// # Real-time
-    ///
     /// Wait-free; no allocation; no syscall. See [`Message::view`](crate::Message::view).
     ///
     /// # Errors
-    ///
     /// [`Fault`] if the bytes are none.
     fn view_value<'a>(reader: &mut Reader<'a>) -> Result<Self::Ref<'a>, Fault>;
 
     /// As [`view_value`](Self::view_value), for `len` values one after the other.
     ///
     /// # Errors
-    ///
     /// As there.
     fn view_list<'a>(reader: &mut Reader<'a>, len: usize) -> Result<Self::List<'a>, Fault>;
 
     /// As [`view_list`](Self::view_list), for a number of values known beforehand.
     ///
     /// # Errors
-    ///
     /// As there.
     fn view_array<'a, const N: usize>(reader: &mut Reader<'a>) -> Result<Self::Array<'a, N>, Fault>;
 
@@ -59,7 +55,6 @@ pub trait BoundView: View + Bound {
     /// As [`View::view_value`], for at most `bound` elements or characters.
     ///
     /// # Errors
-    ///
     /// As there; [`DecodeFault::Bound`] if it is longer.
     fn view_bounded<'a>(reader: &mut Reader<'a>, bound: usize) -> Result<Self::Ref<'a>, Fault>;
 }
@@ -253,7 +248,6 @@ fn values<'a, T: Plain>(reader: &mut Reader<'a>, len: usize) -> Result<&'a [T], 
 /// Checks a whole body.
 ///
 /// # Errors
-///
 /// As [`Message::view`].
 #[doc(hidden)]
 #[inline]

@@ -80,7 +80,6 @@ pub trait Fill: Form {
     /// implementation, also where its sizes do not have it.)
     ///
     /// # Errors
-    ///
     /// [`EncodeError`] if a length is greater than its bound or the memory too short.
     fn carve<'a, 's: 's>(
         sizes: Self::Sizes<'s>,
@@ -90,7 +89,6 @@ pub trait Fill: Form {
     /// As [`carve`](Self::carve), for a sequence of at most `bound`, its own length included.
     ///
     /// # Errors
-    ///
     /// As there.
     fn carve_list<'a, 's: 's>(
         sizes: Self::ListSizes<'s>,
@@ -101,7 +99,6 @@ pub trait Fill: Form {
     /// As [`carve`](Self::carve), for an array.
     ///
     /// # Errors
-    ///
     /// As there.
     fn carve_array<'a, 's: 's, const N: usize>(
         sizes: Self::ArraySizes<'s>,
@@ -114,7 +111,6 @@ pub trait Piece<V> {
     /// Whether everything was set.
     ///
     /// # Errors
-    ///
     /// [`WriteFault::Unset`] with the first field that was not.
     fn check(&self) -> Result<(), WriteError>;
 
@@ -128,7 +124,6 @@ pub trait BoundFill: Fill {
     /// As [`Fill::carve`], for at most `bound` elements or characters.
     ///
     /// # Errors
-    ///
     /// As there.
     fn carve_bounded<'a, 's: 's>(
         sizes: Self::Sizes<'s>,
@@ -208,7 +203,6 @@ impl core::error::Error for WriteError {}
 /// The length in bytes of a body with these lengths.
 ///
 /// # Real-time
-///
 /// Wait-free; no allocation; no syscall. Linear in the number of fields and of elements with sizes of their own.
 pub fn sized_len<T: Fill>(sizes: T::Sizes<'_>) -> usize {
     T::sized_end(sizes, 0)
@@ -220,11 +214,9 @@ pub fn sized_len<T: Fill>(sizes: T::Sizes<'_>) -> usize {
 /// The parts of a sequence that were not written keep the previous content of `memory`.
 ///
 /// # Real-time
-///
 /// Wait-free but for `write`; no allocation; no syscall. Linear in the number of fields.
 ///
 /// # Errors
-///
 /// [`WriteError`]: a length over its bound, memory too short or not at a multiple of [`BODY_ALIGN`], an error of
 /// `write`, a field that was not set.
 pub fn fill<'s, T: Message + Fill>(

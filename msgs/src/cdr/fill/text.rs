@@ -17,7 +17,6 @@ impl Text<'_> {
     /// Writes it.
     ///
     /// # Errors
-    ///
     /// [`WriteFault::Length`] if its number of bytes is not the stated one, [`EncodeFault::Bound`] if it has more
     /// characters than the definition allows.
     #[inline]
@@ -70,7 +69,6 @@ impl WText<'_> {
     /// Writes it.
     ///
     /// # Errors
-    ///
     /// [`WriteFault::Length`] if its number of UTF-16 units is not the stated one, [`EncodeFault::Bound`] if it has
     /// more characters than the definition allows.
     pub fn set(&mut self, text: &str) -> Result<(), WriteError> {
