@@ -54,7 +54,7 @@ macro_rules! debug_fields {
     };
 }
 
-/// The names of an enum's variants, in one table: `ALL` variants in its order and the name of each, or only what displays them.
+/// The names of an enum's variants, in one table: all variants in its order and the name of each, the name alone, or what displays it.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! names {
@@ -65,15 +65,22 @@ macro_rules! names {
             }
         }
     };
-    ($type:ident: $all_vis:vis ALL[$count:literal], $vis:vis $method:ident { $($variant:ident: $name:literal),+ $(,)? }) => {
+    ($type:ident: $all_vis:vis const ALL: [$all:ident; $count:literal]; $($rest:tt)+) => {
+        $crate::names!($type: $($rest)+);
+        $crate::names!($type: $all_vis, $count, $($rest)+);
+    };
+    ($type:ident: $vis:vis const fn $method:ident(self) -> &'static str { $($variant:ident: $name:literal),+ $(,)? }) => {
         impl $type {
-            /// Every one, in the order of their numbers.
-            $all_vis const ALL: [$type; $count] = [$($type::$variant),+];
-
             /// Its name in texts.
             $vis const fn $method(self) -> &'static str {
                 match self { $(Self::$variant => $name),+ }
             }
+        }
+    };
+    ($type:ident: $all_vis:vis, $count:literal, $vis:vis const fn $method:ident(self) -> &'static str { $($variant:ident: $name:literal),+ $(,)? }) => {
+        impl $type {
+            /// Every one, in the order of their numbers.
+            $all_vis const ALL: [$type; $count] = [$($type::$variant),+];
         }
     };
 }

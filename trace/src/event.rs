@@ -47,7 +47,7 @@ pub enum EventKind {
     Pass = 10,
 }
 
-tautline_rt::names!(EventKind: pub ALL[10], pub name {
+tautline_rt::names!(EventKind: pub const ALL: [EventKind; 10]; pub const fn name(self) -> &'static str {
     Publish: "publish", Take: "take", CallbackStart: "callback_start", CallbackEnd: "callback_end",
     SpinStart: "spin_start", SpinWake: "spin_wake", SpinTimeout: "spin_timeout", SpinEnd: "spin_end",
     Receive: "receive", Pass: "pass",

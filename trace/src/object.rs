@@ -31,7 +31,7 @@ pub enum ObjectKind {
     Sender = 8,
 }
 
-tautline_rt::names!(ObjectKind: ALL[8], pub name {
+tautline_rt::names!(ObjectKind: const ALL: [ObjectKind; 8]; pub const fn name(self) -> &'static str {
     Context: "context", Node: "node", Publisher: "publisher", Subscription: "subscription", Timer: "timer",
     Callback: "callback", Sampler: "sampler", Sender: "sender",
 });

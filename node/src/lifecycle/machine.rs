@@ -32,7 +32,7 @@ pub enum State {
     ErrorProcessing = 15,
 }
 
-tautline_rt::names!(State: pub ALL[10], pub label {
+tautline_rt::names!(State: pub const ALL: [State; 10]; pub const fn label(self) -> &'static str {
     Unconfigured: "unconfigured", Inactive: "inactive", Active: "active", Finalized: "finalized",
     Configuring: "configuring", CleaningUp: "cleaningup", ShuttingDown: "shuttingdown",
     Activating: "activating", Deactivating: "deactivating", ErrorProcessing: "errorprocessing",

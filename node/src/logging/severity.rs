@@ -19,7 +19,7 @@ pub enum LogSeverity {
     Fatal = 50,
 }
 
-tautline_rt::names!(LogSeverity: ALL[6], pub name {
+tautline_rt::names!(LogSeverity: const ALL: [LogSeverity; 6]; pub const fn name(self) -> &'static str {
     Unset: "UNSET", Debug: "DEBUG", Info: "INFO", Warn: "WARN", Error: "ERROR", Fatal: "FATAL",
 });
 

@@ -40,23 +40,11 @@ pub enum ParameterType {
     StringArray = 9,
 }
 
-impl ParameterType {
-    /// The name as in messages: `integer array`.
-    pub const fn name(self) -> &'static str {
-        match self {
-            ParameterType::NotSet => "not set",
-            ParameterType::Bool => "boolean",
-            ParameterType::Integer => "integer",
-            ParameterType::Double => "double",
-            ParameterType::String => "string",
-            ParameterType::ByteArray => "byte array",
-            ParameterType::BoolArray => "boolean array",
-            ParameterType::IntegerArray => "integer array",
-            ParameterType::DoubleArray => "double array",
-            ParameterType::StringArray => "string array",
-        }
-    }
-}
+tautline_rt::names!(ParameterType: pub const fn name(self) -> &'static str {
+    NotSet: "not set", Bool: "boolean", Integer: "integer", Double: "double", String: "string",
+    ByteArray: "byte array", BoolArray: "boolean array", IntegerArray: "integer array",
+    DoubleArray: "double array", StringArray: "string array",
+});
 
 impl ParameterValue {
     /// Its type.

@@ -17,17 +17,11 @@ pub enum Mode {
     Router,
 }
 
-impl Mode {
-    fn as_str(self) -> &'static str {
-        match self {
-            Mode::Peer => "peer",
-            Mode::Client => "client",
-            Mode::Router => "router",
-        }
-    }
+tautline_rt::names!(Mode: const ALL: [Mode; 3]; const fn as_str(self) -> &'static str { Peer: "peer", Client: "client", Router: "router" });
 
+impl Mode {
     fn named(name: &str) -> Option<Mode> {
-        [Mode::Peer, Mode::Client, Mode::Router].into_iter().find(|mode| mode.as_str() == name)
+        Mode::ALL.into_iter().find(|mode| mode.as_str() == name)
     }
 }
 
