@@ -2,16 +2,19 @@
 
 use core::fmt;
 
-/// Why a value has no CDR, or no room for it. Holds no heap memory.
+/// What is wrong with a message, and in which of its fields. Holds no heap memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct EncodeError {
-    /// The innermost message, `package/msg/Name`; empty if the value is none.
+pub struct FieldError<F> {
+    /// The innermost message, `package/msg/Name`; empty if the value is none, or if it is not known.
     pub type_name: &'static str,
     /// Its field; empty for the message itself.
     pub field: &'static str,
     /// What is wrong.
-    pub fault: EncodeFault,
+    pub fault: F,
 }
+
+/// Why a value has no CDR, or no room for it.
+pub type EncodeError = FieldError<EncodeFault>;
 
 /// Why a value cannot be encoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -112,9 +115,9 @@ pub enum DecodeFault {
     },
 }
 
-impl EncodeError {
+impl<F> FieldError<F> {
     #[cold]
-    pub(crate) fn new(fault: EncodeFault) -> Self {
+    pub(crate) fn new(fault: F) -> Self {
         Self { type_name: "", field: "", fault }
     }
 
@@ -206,7 +209,7 @@ fn plain(field: &'static str) -> &'static str {
     field.strip_prefix("r#").unwrap_or(field)
 }
 
-impl fmt::Display for EncodeError {
+impl<F: fmt::Display> fmt::Display for FieldError<F> {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { type_name, field, fault } = self;
         match *field {
@@ -227,7 +230,7 @@ impl fmt::Display for DecodeError {
     }
 }
 
-impl core::error::Error for EncodeError {
+impl<F: core::error::Error + 'static> core::error::Error for FieldError<F> {
     fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
         Some(&self.fault)
     }

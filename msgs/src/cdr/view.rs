@@ -60,7 +60,9 @@ pub trait BoundView: View + Bound {
 }
 
 /// Lists of forms whose values differ in length, or are padded: read one by one.
-macro_rules! seq {
+#[doc(hidden)]
+#[macro_export]
+macro_rules! viewed_one_by_one {
     () => {
         type List<'a> = $crate::cdr::Seq<'a, Self>;
         type Array<'a, const LEN: usize> = $crate::cdr::Seq<'a, Self>;
@@ -69,14 +71,14 @@ macro_rules! seq {
         fn view_list<'a>(
             reader: &mut $crate::cdr::Reader<'a>,
             len: usize,
-        ) -> ::core::result::Result<Self::List<'a>, $crate::cdr::Fault> {
+        ) -> $crate::cdr::Decoded<Self::List<'a>> {
             $crate::cdr::Seq::check(reader, len)
         }
 
         #[inline]
         fn view_array<'a, const LEN: usize>(
             reader: &mut $crate::cdr::Reader<'a>,
-        ) -> ::core::result::Result<Self::Array<'a, LEN>, $crate::cdr::Fault> {
+        ) -> $crate::cdr::Decoded<Self::Array<'a, LEN>> {
             $crate::cdr::Seq::check(reader, LEN)
         }
 
@@ -98,8 +100,7 @@ macro_rules! numbers {
     ($($type:ty)*) => {$(
         impl View for $type {
             type Ref<'a> = Self;
-            type List<'a> = &'a [Self];
-            type Array<'a, const N: usize> = &'a [Self; N];
+            crate::dense_struct!(@lists);
 
             #[inline]
             fn view_value<'a>(reader: &mut Reader<'a>) -> Result<Self, Fault> {
@@ -122,16 +123,6 @@ macro_rules! numbers {
             #[inline]
             fn own(view: Self) -> Self {
                 view
-            }
-
-            #[inline]
-            fn own_list(view: &[Self]) -> Vec<Self> {
-                view.to_vec()
-            }
-
-            #[inline]
-            fn own_array<const N: usize>(view: &[Self; N]) -> [Self; N] {
-                *view
             }
         }
     )*};
@@ -259,7 +250,7 @@ pub fn view_message<T: Message + View>(body: Body<'_>) -> Result<T::Ref<'_>, Dec
 
 impl<F: View> View for Vec<F> {
     type Ref<'a> = F::List<'a>;
-    seq!();
+    crate::viewed_one_by_one!();
 
     #[inline]
     fn view_value<'a>(reader: &mut Reader<'a>) -> Result<F::List<'a>, Fault> {
@@ -283,7 +274,7 @@ impl<F: View> BoundView for Vec<F> {
 
 impl<F: View<Value: Default>, const N: usize> View for [F; N] {
     type Ref<'a> = F::Array<'a, N>;
-    seq!();
+    crate::viewed_one_by_one!();
 
     #[inline]
     fn view_value<'a>(reader: &mut Reader<'a>) -> Result<F::Array<'a, N>, Fault> {
@@ -297,7 +288,7 @@ impl<F: View<Value: Default>, const N: usize> View for [F; N] {
 
 impl<F: BoundView, const N: usize> View for Bounded<F, N> {
     type Ref<'a> = F::Ref<'a>;
-    seq!();
+    crate::viewed_one_by_one!();
 
     #[inline]
     fn view_value<'a>(reader: &mut Reader<'a>) -> Result<F::Ref<'a>, Fault> {
@@ -311,7 +302,7 @@ impl<F: BoundView, const N: usize> View for Bounded<F, N> {
 
 impl View for String {
     type Ref<'a> = &'a str;
-    seq!();
+    crate::viewed_one_by_one!();
 
     #[inline]
     fn view_value<'a>(reader: &mut Reader<'a>) -> Result<&'a str, Fault> {
@@ -332,7 +323,7 @@ impl BoundView for String {
 
 impl View for WString {
     type Ref<'a> = WStr<'a>;
-    seq!();
+    crate::viewed_one_by_one!();
 
     #[inline]
     fn view_value<'a>(reader: &mut Reader<'a>) -> Result<WStr<'a>, Fault> {

@@ -11,7 +11,7 @@ pub(super) mod numbers;
 mod sizes;
 mod text;
 
-use crate::cdr::{Bound, Bounded, EncodeError, EncodeFault, Form};
+use crate::cdr::{Bound, Bounded, EncodeError, EncodeFault, FieldError, Form};
 use crate::{BODY_ALIGN, Message};
 pub use carver::Carver;
 pub use elements::Elements;
@@ -132,18 +132,10 @@ pub trait BoundFill: Fill {
     ) -> Result<Self::Writer<'a, 's>, EncodeError>;
 }
 
-/// Why a message could not be written in place. Holds no heap memory.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct WriteError {
-    /// The innermost message, `package/msg/Name`; empty if it is not known.
-    pub type_name: &'static str,
-    /// Its field; empty for the message itself.
-    pub field: &'static str,
-    /// What is wrong.
-    pub fault: WriteFault,
-}
-
 /// Why a message could not be written in place.
+pub type WriteError = FieldError<WriteFault>;
+
+/// What is wrong with a message that is written in place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 pub enum WriteFault {
@@ -164,41 +156,11 @@ pub enum WriteFault {
     Encode(EncodeFault),
 }
 
-impl WriteError {
-    #[cold]
-    pub(crate) fn new(fault: WriteFault) -> Self {
-        Self { type_name: "", field: "", fault }
-    }
-
-    /// Adds where it happened, unless an inner message has done so already.
-    #[cold]
-    #[doc(hidden)]
-    #[must_use = "it returns the changed error"]
-    pub fn within(mut self, type_name: &'static str, field: &'static str) -> Self {
-        if self.type_name.is_empty() {
-            (self.type_name, self.field) = (type_name, field.strip_prefix("r#").unwrap_or(field));
-        }
-        self
-    }
-}
-
 impl From<EncodeError> for WriteError {
     fn from(EncodeError { type_name, field, fault }: EncodeError) -> Self {
         Self { type_name, field, fault: WriteFault::Encode(fault) }
     }
 }
-
-impl core::fmt::Display for WriteError {
-    fn fmt(&self, formatter: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        let Self { type_name, field, fault } = self;
-        match *field {
-            "" => write!(formatter, "`{type_name}`: {fault}"),
-            _ => write!(formatter, "`{type_name}`: field `{field}`: {fault}"),
-        }
-    }
-}
-
-impl core::error::Error for WriteError {}
 
 /// The length in bytes of a body with these lengths.
 ///
@@ -247,6 +209,8 @@ fn length_end(at: usize) -> usize {
 }
 
 /// The sizes and writers of lists of forms that are written one by one.
+#[doc(hidden)]
+#[macro_export]
 macro_rules! one_by_one {
     () => {
         type ListSizes<'s> = &'s [Self::Sizes<'s>];
@@ -256,13 +220,13 @@ macro_rules! one_by_one {
 
         $crate::sizes_of_values! {
             fn list_sizes_from<'s>(
-                values: Option<&[Self::Value]>,
+                values: ::core::option::Option<&[Self::Value]>,
                 source: &mut impl $crate::cdr::SizeSource<'s>,
             ) -> Self::ListSizes<'s> {
                 $crate::cdr::size_list(source, values, Self::sizes_from)
             }
             fn array_sizes_from<'s>(
-                values: Option<&[Self::Value]>,
+                values: ::core::option::Option<&[Self::Value]>,
                 source: &mut impl $crate::cdr::SizeSource<'s>,
             ) -> Self::ArraySizes<'s> {
                 $crate::cdr::size_list(source, values, Self::sizes_from)
@@ -284,7 +248,7 @@ macro_rules! one_by_one {
             sizes: &'s [Self::Sizes<'s>],
             bound: usize,
             carver: &mut $crate::cdr::Carver<'a>,
-        ) -> ::core::result::Result<$crate::cdr::Elements<'a, 's, Self>, $crate::cdr::EncodeError> {
+        ) -> $crate::cdr::Encoded<$crate::cdr::Elements<'a, 's, Self>> {
             carver.length(sizes.len(), bound)?;
             $crate::cdr::Elements::carve(sizes, sizes.len(), carver)
         }
@@ -293,17 +257,16 @@ macro_rules! one_by_one {
         fn carve_array<'a, 's: 's, const LEN: usize>(
             sizes: &'s [Self::Sizes<'s>],
             carver: &mut $crate::cdr::Carver<'a>,
-        ) -> ::core::result::Result<$crate::cdr::Elements<'a, 's, Self>, $crate::cdr::EncodeError> {
+        ) -> $crate::cdr::Encoded<$crate::cdr::Elements<'a, 's, Self>> {
             $crate::cdr::Elements::carve(sizes, LEN, carver)
         }
     };
 }
-pub(crate) use one_by_one;
 
 impl<F: Fill> Fill for Vec<F> {
     type Sizes<'s> = F::ListSizes<'s>;
     type Writer<'a, 's> = F::ListWriter<'a, 's>;
-    one_by_one!();
+    crate::one_by_one!();
 
     crate::sizes_of_values! {
         fn sizes_from<'s>(
@@ -342,7 +305,7 @@ impl<F: Fill> BoundFill for Vec<F> {
 impl<F: Fill, const N: usize> Fill for [F; N] {
     type Sizes<'s> = F::ArraySizes<'s>;
     type Writer<'a, 's> = F::ArrayWriter<'a, 's, N>;
-    one_by_one!();
+    crate::one_by_one!();
 
     crate::sizes_of_values! {
         fn sizes_from<'s>(
@@ -370,7 +333,7 @@ impl<F: Fill, const N: usize> Fill for [F; N] {
 impl<F: BoundFill + Bound, const N: usize> Fill for Bounded<F, N> {
     type Sizes<'s> = F::Sizes<'s>;
     type Writer<'a, 's> = F::Writer<'a, 's>;
-    one_by_one!();
+    crate::one_by_one!();
 
     crate::sizes_of_values! {
         fn sizes_from<'s>(
