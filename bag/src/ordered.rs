@@ -65,7 +65,6 @@ impl Ordered {
     pub fn open(path: &Path, tell: &mut dyn FnMut(&Path)) -> Result<Self, BagError> {
         let files = files_of(path)?;
         let (extents, topics, numbers) = (Vec::new(), Vec::new(), HashMap::new());
-        let (waiting, damage) = (BinaryHeap::new(), BTreeSet::new());
         let mut bag = Ordered {
             files,
             extents,
@@ -73,10 +72,10 @@ impl Ordered {
             open: Vec::new(),
             topics,
             numbers,
-            waiting,
+            waiting: BinaryHeap::new(),
             waiting_bytes: 0,
             count: 0,
-            damage,
+            damage: BTreeSet::new(),
         };
         for file in 0..bag.files.len() {
             tell(&bag.files[file]);

@@ -206,20 +206,18 @@ impl FileReader {
             });
         }
         let summary = FileSummary { path: path.clone(), bytes, ..FileSummary::default() };
-        let (schemas, channels) = (HashMap::new(), BTreeMap::new());
-        let (damage, damages, is_ended, latest_ns, record) = (Vec::new(), 0, false, 0, Vec::new());
         Ok(FileReader {
             file,
             path,
             bytes,
             summary,
-            damage,
-            damages,
-            is_ended,
-            schemas,
-            channels,
-            latest_ns,
-            record,
+            damage: Vec::new(),
+            damages: 0,
+            is_ended: false,
+            schemas: HashMap::new(),
+            channels: BTreeMap::new(),
+            latest_ns: 0,
+            record: Vec::new(),
         })
     }
 

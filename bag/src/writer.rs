@@ -122,20 +122,18 @@ impl Writer {
         session: BTreeMap<String, String>,
         custom_data: BTreeMap<String, String>,
     ) -> Result<Self, BagError> {
-        let (folder, name, topics, done) = (folder.to_owned(), name.to_owned(), Vec::new(), Vec::new());
         let is_behind = Arc::default();
-        let (file, number, removed) = (None, 0, 0);
         let mut writer = Writer {
-            folder,
-            name,
+            folder: folder.to_owned(),
+            name: name.to_owned(),
             options,
             session,
-            topics,
+            topics: Vec::new(),
             custom_data,
-            file,
-            number,
-            done,
-            removed,
+            file: None,
+            number: 0,
+            done: Vec::new(),
+            removed: 0,
             is_behind,
         };
         // What cannot be written is known before there are messages.

@@ -28,7 +28,7 @@ mod threads;
 mod types;
 
 pub use bridge::Bridge;
-pub use config::{Config, ConfigError, Problem};
+pub use config::{Config, ConfigError};
 pub use error::BridgeError;
 pub use options::Options;
 pub use rcl::{RclError, ignore_own_endpoints};

@@ -84,7 +84,7 @@ fn what_cannot_run_says_what_to_do() {
     let said = failure_of(&["--config", file.to_str().unwrap()], |_| {});
     assert!(said.contains("bridge.toml has 2 problem(s)"), "{said}");
     assert!(
-        said.contains("line 1: the file has no `colour`") && said.contains("line 3: `topic`: 'x'"),
+        said.contains("1:1: unknown key `colour` in the file") && said.contains("3:9: `topic`: 'x'"),
         "{said}"
     );
     let said = failure_of(&["--config", "/no/such.toml"], |_| {});

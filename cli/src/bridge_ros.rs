@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut bridge-ros`: runs `taut-bridge-ros`, a separate program, so that only its users need ROS 2.
 
-use crate::sibling::{Sibling, SiblingError};
+use crate::sibling::Sibling;
+use crate::verb::{Failure, Outcome};
 use clap::Args;
 use std::ffi::OsString;
 use std::process::{Command, ExitCode, Stdio};
@@ -25,27 +26,8 @@ pub struct BridgeRosArgs {
     arguments: Vec<OsString>,
 }
 
-/// Why the bridge was not started.
-#[derive(Debug, thiserror::Error)]
-pub enum BridgeRosError {
-    #[error(transparent)]
-    Start(#[from] SiblingError),
-    #[error(
-        "taut-bridge-ros does not find the libraries of ROS 2: {said}; source the ROS 2 that it was built with \
-         (source /opt/ros/jazzy/setup.bash), and run it again"
-    )]
-    Libraries { said: String },
-    #[error(
-        "ROS 2 does not start with RMW_IMPLEMENTATION={value}: {said}; unset it, or install that one (apt install \
-         ros-$ROS_DISTRO-{}) and source ROS 2 again", value.replace('_', "-")
-    )]
-    Rmw { value: String, said: String },
-    #[error("taut-bridge-ros does not start: {said}")]
-    Other { said: String },
-}
-
 /// Returns only if the bridge cannot be started.
-pub fn run(args: BridgeRosArgs) -> Result<ExitCode, BridgeRosError> {
+pub fn run(args: BridgeRosArgs) -> Outcome<ExitCode> {
     // The loader or ROS may end the program before it prints an error, so this checks first whether it can run.
     let program = BRIDGE.path();
     let mut command = Command::new(&program);
@@ -53,19 +35,24 @@ pub fn run(args: BridgeRosArgs) -> Result<ExitCode, BridgeRosError> {
     let answer = answer.map_err(|source| BRIDGE.error(program, source))?;
     if !answer.status.success() {
         let rmw = std::env::var("RMW_IMPLEMENTATION").ok().filter(|value| !value.is_empty());
-        return Err(explained(&String::from_utf8_lossy(&answer.stderr), rmw));
+        return Err(Failure::unusable(explained(&String::from_utf8_lossy(&answer.stderr), rmw)));
     }
     Err(BRIDGE.become_it(&args.arguments).into())
 }
 
-fn explained(stderr: &str, rmw: Option<String>) -> BridgeRosError {
-    let said = stderr.trim().lines().next().unwrap_or("it says nothing").to_owned();
+fn explained(stderr: &str, rmw: Option<String>) -> String {
+    let said = stderr.trim().lines().next().unwrap_or("it says nothing");
     match rmw {
-        _ if stderr.contains("shared librar") && !stderr.contains("rmw") => {
-            BridgeRosError::Libraries { said }
-        }
-        Some(value) => BridgeRosError::Rmw { value, said },
-        None => BridgeRosError::Other { said },
+        _ if stderr.contains("shared librar") && !stderr.contains("rmw") => format!(
+            "taut-bridge-ros does not find the libraries of ROS 2: {said}; source the ROS 2 that it was built with \
+             (source /opt/ros/jazzy/setup.bash), and run it again"
+        ),
+        Some(value) => format!(
+            "ROS 2 does not start with RMW_IMPLEMENTATION={value}: {said}; unset it, or install that one (apt install \
+             ros-$ROS_DISTRO-{}) and source ROS 2 again",
+            value.replace('_', "-")
+        ),
+        None => format!("taut-bridge-ros does not start: {said}"),
     }
 }
 
@@ -76,14 +63,14 @@ mod tests {
     #[test]
     fn what_the_loader_and_ros_say_is_explained() {
         let loader = "taut-bridge-ros: error while loading shared libraries: librcl.so: cannot open shared object file\n";
-        let said = explained(loader, None).to_string();
+        let said = explained(loader, None);
         assert!(said.contains("librcl.so") && said.contains("source /opt/ros/jazzy/setup.bash"), "{said}");
         let rcl = "[ERROR] [rcl]: Expected RMW implementation identifier of 'rmw_x_cpp' but instead found 'rmw_fastrtps_cpp'\n";
-        let said = explained(rcl, Some("rmw_x_cpp".into())).to_string();
+        let said = explained(rcl, Some("rmw_x_cpp".into()));
         assert!(
             said.contains("RMW_IMPLEMENTATION=rmw_x_cpp: ") && said.contains("ros-$ROS_DISTRO-rmw-x-cpp"),
             "{said}"
         );
-        assert!(explained("", None).to_string().contains("it says nothing"));
+        assert!(explained("", None).contains("it says nothing"));
     }
 }

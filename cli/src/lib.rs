@@ -109,22 +109,21 @@ pub fn run() -> ExitCode {
     }
     log_to_stderr();
 
-    let said = |error: &dyn std::fmt::Display| Err(Failure::unusable(error.to_string()));
     let outcome = match Cli::parse().verb {
-        Verb::Check(args) => return check::run(&args),
+        Verb::Check(args) => check::run(&args),
         Verb::Init(args) => init::run(&args),
         Verb::Report(args) => return report::run(&args),
         Verb::Apply(args) => apply::run(&args),
         Verb::Doctor(args) => doctor::run(&args),
-        Verb::Demo(args) => demo::run(args).or_else(|error| said(&error)),
-        Verb::Trace(args) => trace::run(args).or_else(|error| said(&error)),
+        Verb::Demo(args) => demo::run(args),
+        Verb::Trace(args) => trace::run(args).map_err(Failure::from),
         Verb::Gateway(args) => sibling::GATEWAY.run(&[], &args),
         Verb::Record(args) => sibling::BAG.run(&["record"], &args),
         Verb::Play(args) => sibling::BAG.run(&["play"], &args),
         Verb::Bag(args) => sibling::BAG.run(&["bag"], &args),
         Verb::Top(args) => sibling::TOP.run(&["top"], &args),
-        Verb::BridgeRos(args) => bridge_ros::run(args).or_else(|error| said(&error)),
-        Verb::Msg(args) => msg::run(args).or_else(|error| said(&error)),
+        Verb::BridgeRos(args) => bridge_ros::run(args),
+        Verb::Msg(args) => msg::run(args),
         Verb::Interface(args) => interface::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Topic(args) => topic::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Node(args) => node::run(&args).map(|()| ExitCode::SUCCESS),

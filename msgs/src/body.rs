@@ -18,11 +18,9 @@ impl<'a> Body<'a> {
     /// memory is a multiple of their alignment.
     ///
     /// # Real-time
-    ///
     /// Wait-free; no allocation; no syscall.
     ///
     /// # Errors
-    ///
     /// [`DecodeFault::Alignment`] if `memory` does not start at a multiple of [`BODY_ALIGN`], [`DecodeFault::End`] if it
     /// is shorter than `len`.
     pub fn new(memory: &'a [u8], len: usize) -> Result<Self, DecodeFault> {

@@ -17,7 +17,6 @@ impl Definition {
     /// their names, each after a line of `=` and a line `MSG: package/Name`.
     ///
     /// # Real-time
-    ///
     /// Setup only: allocates.
     pub fn to_text(&self) -> String {
         let mut needed = Vec::new();

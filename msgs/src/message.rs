@@ -36,12 +36,10 @@ pub trait Message: Form<Value = Self> + Send + Sync + 'static {
     /// Checks a body and gives what reads it in place.
     ///
     /// # Real-time
-    ///
     /// Wait-free; no allocation; no syscall. Constant for a plain type without `bool`, `char` and enum fields, otherwise
     /// linear in the number of fields, of characters, and of elements of a sequence that are not numbers.
     ///
     /// # Errors
-    ///
     /// [`DecodeError`] with field and byte for anything that the type cannot be.
     fn view(body: Body<'_>) -> Result<Self::View<'_>, DecodeError>;
 
@@ -72,7 +70,6 @@ pub trait Message: Form<Value = Self> + Send + Sync + 'static {
     /// The length of the body in bytes.
     ///
     /// # Real-time
-    ///
     /// Wait-free; no allocation; no syscall. Linear in the number of strings and nested messages.
     #[inline]
     fn cdr_len(&self) -> usize {
@@ -83,11 +80,9 @@ pub trait Message: Form<Value = Self> + Send + Sync + 'static {
     /// [`cdr_len`](Self::cdr_len). What follows it in `out` stays as it is.
     ///
     /// # Real-time
-    ///
     /// Wait-free; no allocation; no syscall. Linear in the length.
     ///
     /// # Errors
-    ///
     /// [`EncodeError`] if a string or sequence is longer than its bound, or `out` too short; a part is written then.
     #[inline]
     fn encode(&self, out: &mut [u8]) -> Result<usize, EncodeError> {
@@ -103,7 +98,6 @@ pub trait Message: Form<Value = Self> + Send + Sync + 'static {
     /// these.
     ///
     /// # Errors
-    ///
     /// [`DecodeError`] with field and byte for anything that the type cannot be.
     fn decode(body: &[u8], endian: Endian) -> Result<Self, DecodeError> {
         let mut reader = Reader::new(body, endian);
@@ -118,7 +112,6 @@ pub trait Message: Form<Value = Self> + Send + Sync + 'static {
     /// The message as on the ROS 2 wire: [`HEADER`], then the body.
     ///
     /// # Errors
-    ///
     /// [`EncodeError`] if a string or sequence is longer than its bound.
     fn to_cdr(&self) -> Result<Vec<u8>, EncodeError> {
         let mut bytes = vec![0; HEADER.len() + self.cdr_len()];
@@ -132,7 +125,6 @@ pub trait Message: Form<Value = Self> + Send + Sync + 'static {
     /// order.
     ///
     /// # Errors
-    ///
     /// [`DecodeFault::Encapsulation`] for a header that is not that of plain CDR, else as [`decode`](Self::decode).
     fn from_cdr(bytes: &[u8]) -> Result<Self, DecodeError> {
         let (endian, body) = split_header(bytes).map_err(|fault| whole::<Self>(fault))?;
@@ -144,11 +136,9 @@ pub trait Message: Form<Value = Self> + Send + Sync + 'static {
     /// [plain](crate::Plain) type, of which the trailing padding may be missing on the wire.
     ///
     /// # Real-time
-    ///
     /// As [`view`](Self::view).
     ///
     /// # Errors
-    ///
     /// [`DecodeFault::BigEndian`], [`DecodeFault::Alignment`], [`DecodeFault::End`] also for missing trailing padding, else as
     /// [`from_cdr`](Self::from_cdr).
     fn view_cdr(bytes: &[u8]) -> Result<Self::View<'_>, DecodeError> {
@@ -171,7 +161,6 @@ impl<T: Plain + Message> PlainView<T> {
     /// Says so.
     ///
     /// # Safety
-    ///
     /// [`Message::view`] of `T` is [`view_plain`](crate::view_plain).
     pub const unsafe fn new() -> Self {
         Self(PhantomData)
@@ -181,7 +170,6 @@ impl<T: Plain + Message> PlainView<T> {
 /// The byte order and the body of what is on the wire.
 ///
 /// # Errors
-///
 /// [`DecodeFault::Encapsulation`] if it does not start with the header of plain CDR.
 pub fn split_header(bytes: &[u8]) -> Result<(Endian, &[u8]), DecodeFault> {
     match bytes {

@@ -14,7 +14,6 @@ use crate::{Body, Invalid, Message, Shape};
 /// time. An enum is written as the integer of its `repr`, a `char` as `uint32`.
 ///
 /// # Safety
-///
 /// Implement it with `#[derive(Message)]`. By hand, all of this must hold:
 ///
 /// - Placed at a multiple of 8, every primitive of the type lies where XCDR1 places it, and
@@ -62,12 +61,10 @@ pub unsafe trait Plain: Form<Value = Self> + Copy + Send + Sync + 'static {
     /// one of its variants. Bytes past `CDR_SIZE` are not looked at; alignment does not matter.
     ///
     /// # Real-time
-    ///
     /// Wait-free; no allocation; no syscall. Constant for [`ALWAYS_VALID`](Plain::ALWAYS_VALID) types, otherwise linear
     /// in the number of fields and array elements that can be invalid.
     ///
     /// # Errors
-    ///
     /// [`Invalid::Length`] if a field that is looked at lies past the end (numbers are not looked at: who calls this has
     /// checked the length), [`Invalid::Value`] for the first invalid field.
     fn validate(bytes: &[u8]) -> Result<(), Invalid>;
@@ -81,7 +78,6 @@ pub unsafe trait Plain: Form<Value = Self> + Copy + Send + Sync + 'static {
     /// assigned: what is sent must hold no rest of other data.
     ///
     /// # Real-time
-    ///
     /// Wait-free; no allocation; no syscall. Nothing to do if [`CONTENT_SIZE`](Plain::CONTENT_SIZE) is
     /// [`CDR_SIZE`](Plain::CDR_SIZE).
     fn clear_padding(memory: &mut [u8]);
@@ -93,11 +89,9 @@ pub unsafe trait Plain: Form<Value = Self> + Copy + Send + Sync + 'static {
 /// `align_of::<T>()`. Bytes beyond are ignored.
 ///
 /// # Real-time
-///
 /// Wait-free; no allocation; no syscall. Constant for [`Plain::ALWAYS_VALID`] types, otherwise as [`Plain::validate`].
 ///
 /// # Errors
-///
 /// [`Invalid`] if the bytes are too few, misaligned, or no valid `T`.
 #[inline]
 pub fn from_bytes<T: Plain>(bytes: &[u8]) -> Result<&T, Invalid> {
@@ -127,11 +121,9 @@ pub fn from_bytes<T: Plain>(bytes: &[u8]) -> Result<&T, Invalid> {
 /// which is not initialised. On the hot path write into the loan instead.
 ///
 /// # Real-time
-///
 /// Wait-free; no allocation; no syscall. Linear in the number of primitives.
 ///
 /// # Errors
-///
 /// [`Invalid::Length`] if `out` is shorter than `CDR_SIZE`; nothing is written then.
 pub fn write_cdr<T: Plain>(value: &T, out: &mut [u8]) -> Result<usize, Invalid> {
     let len = out.len();
@@ -208,7 +200,6 @@ pub const fn dense_end<T: Plain>(at: usize) -> Option<usize> {
 /// Checks a whole body of a plain type. If there is a fault, a second pass field by field finds its position.
 ///
 /// # Errors
-///
 /// As [`Message::view`].
 #[doc(hidden)]
 #[inline]

@@ -36,7 +36,6 @@ pub struct StructShape {
 /// `None` if no definition is possible: two different structs would have the same name.
 ///
 /// # Real-time
-///
 /// Setup only: allocates.
 pub fn definition_text<T: Message>() -> Option<String> {
     match (T::DEFINITION, T::SHAPE) {

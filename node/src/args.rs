@@ -103,7 +103,7 @@ fn refuse(argument: &str, reason: impl Into<String>) -> Error {
 }
 
 /// `name:=value` or `node:name:=value`.
-fn parameter(rule: &str) -> std::result::Result<NodeParameter, String> {
+fn parameter(rule: &str) -> Result<NodeParameter, String> {
     let (name, value) = rule.split_once(":=").ok_or("there is no ':=' between a name and a value")?;
     let (node, name) = name.split_once(':').unwrap_or(("/**", name));
     if node.is_empty() || name.is_empty() {

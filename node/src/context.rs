@@ -82,20 +82,20 @@ impl AsRef<Participant> for Context {
 tautline_rt::debug_fields!(Context, |this| domain = this.domain());
 
 /// The settings of a context.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 #[must_use = "call build()"]
 pub struct ContextBuilder {
     domain: Option<u32>,
     realtime: Option<Realtime>,
     sampler_priority: Option<u8>,
     sampler_cores: Option<CoreSet>,
-    wait: Wait,
-    lock_memory: bool,
+    wait: Option<Wait>,
+    lock_memory: Option<bool>,
     hold_idle: Option<bool>,
     system: Option<PathBuf>,
     host: Option<String>,
     admission: Option<Admission>,
-    share_statistics: bool,
+    share_statistics: Option<bool>,
     core_time: Option<Option<Duration>>,
     trace: Option<TraceSettings>,
     remap: RemapRules,
@@ -136,13 +136,13 @@ impl ContextBuilder {
 
     /// How the sampler waits.
     pub fn wait(mut self, wait: Wait) -> Self {
-        self.wait = wait;
+        self.wait = Some(wait);
         self
     }
 
     /// Whether spinning in real time locks the process's memory first (as pages are touched). On by default.
     pub fn lock_memory(mut self, lock: bool) -> Self {
-        self.lock_memory = lock;
+        self.lock_memory = Some(lock);
         self
     }
 
@@ -186,7 +186,7 @@ impl ContextBuilder {
     /// (`tautline_system::shared_statistics`): `taut report` does this, if there is a system file. On by default; it costs
     /// callbacks nothing.
     pub fn share_statistics(mut self, share: bool) -> Self {
-        self.share_statistics = share;
+        self.share_statistics = Some(share);
         self
     }
 
@@ -269,7 +269,7 @@ impl ContextBuilder {
             }
             _ => (None, Admitted::Unchecked),
         };
-        let sampler = Sampler::new(&participant)?.with_wait(self.wait);
+        let sampler = Sampler::new(&participant)?.with_wait(self.wait.unwrap_or(Wait::Block));
         let core_time = match self.core_time {
             Some(core_time) => core_time,
             None => core_time_of_environment()?,
@@ -280,7 +280,7 @@ impl ContextBuilder {
         let mut executor =
             Executor::new(realtime).with_parkers(thread_parkers(&participant)).account_core_time(core_time);
         executor = executor.enforcer_priority(sampler_priority);
-        if self.share_statistics {
+        if self.share_statistics != Some(false) {
             let mut about = ProcessInfo {
                 realtime: realtime == Realtime::Required,
                 sampler_priority: Some(sampler_priority),
@@ -318,28 +318,6 @@ impl ContextBuilder {
             settings: self,
         };
         Ok(Context { shared: Arc::new(shared) })
-    }
-}
-
-impl Default for ContextBuilder {
-    fn default() -> Self {
-        ContextBuilder {
-            domain: None,
-            realtime: None,
-            sampler_priority: None,
-            sampler_cores: None,
-            wait: Wait::Block,
-            lock_memory: true,
-            hold_idle: None,
-            system: None,
-            host: None,
-            admission: None,
-            share_statistics: true,
-            core_time: None,
-            trace: None,
-            remap: RemapRules::default(),
-            args: Vec::new(),
-        }
     }
 }
 
@@ -567,7 +545,7 @@ impl Context {
             // Before anything is set: on a busy poller's core this thread might not get as far as this check.
             held._seat = Some(self.shared.executor.register_thread("sampler", policy, cores)?);
             tautline_rt::tune_malloc();
-            if settings.lock_memory {
+            if settings.lock_memory != Some(false) {
                 tautline_rt::lock_memory(MemoryLock::OnFault)?;
             }
             tautline_rt::prefault_stack(ThreadBuilder::STACK_BYTES / 4);

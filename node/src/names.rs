@@ -12,7 +12,7 @@ fn invalid(name: &str, kind: &'static str, reason: impl Into<String>) -> Error {
 }
 
 /// Letters, digits and underscores, not beginning with a digit: what ROS 2's `rmw_validate_full_topic_name` accepts.
-fn check_token(token: &str) -> std::result::Result<(), String> {
+fn check_token(token: &str) -> Result<(), String> {
     if token.is_empty() {
         return Err("there is nothing between two '/'".into());
     }

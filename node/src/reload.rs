@@ -65,7 +65,7 @@ impl Reload {
         }
     }
 
-    fn follow(&self, order: &Order) -> std::result::Result<(), String> {
+    fn follow(&self, order: &Order) -> Result<(), String> {
         let current = self.system.get();
         if current.file.fingerprint() == order.system_hash {
             return Ok(());
@@ -80,9 +80,8 @@ impl Reload {
         if !order.is_final {
             return Ok(());
         }
-        let threads = |system: &LoadedSystem| {
-            system.threads().collect::<std::result::Result<Vec<CallbackOptions>, SystemError>>()
-        };
+        let threads =
+            |system: &LoadedSystem| system.threads().collect::<Result<Vec<CallbackOptions>, SystemError>>();
         let (former, wanted) =
             threads(&current).and_then(|old| Ok((old, threads(&new)?))).map_err(|e| e.to_string())?;
         for (done, options) in wanted.iter().enumerate() {
@@ -176,7 +175,7 @@ fn request_reload(
     process: &ForeignStatistics,
     system_hash: u64,
     is_final: bool,
-) -> std::result::Result<(), String> {
+) -> Result<(), String> {
     let number = monotonic_ns().max(1);
     process.order(number, system_hash, is_final).map_err(|error| error.to_string())?;
     let mut patience = Patience::new(PATIENCE);

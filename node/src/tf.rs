@@ -190,7 +190,7 @@ impl TransformBroadcaster {
     ///
     /// # Real-time and errors
     /// As [`Publisher::publish`].
-    pub fn send(&self, message: &TFMessage) -> std::result::Result<(), PublishError> {
+    pub fn send(&self, message: &TFMessage) -> Result<(), PublishError> {
         self.publisher.publish(message)
     }
 
@@ -198,7 +198,7 @@ impl TransformBroadcaster {
     ///
     /// # Errors
     /// As [`Publisher::publish`].
-    pub fn send_transform(&self, transform: &msg::TransformStamped) -> std::result::Result<(), PublishError> {
+    pub fn send_transform(&self, transform: &msg::TransformStamped) -> Result<(), PublishError> {
         self.send(&TFMessage { transforms: vec![transform.clone()] })
     }
 }
@@ -226,10 +226,7 @@ impl StaticTransformBroadcaster {
     ///
     /// # Errors
     /// As [`Publisher::publish`].
-    pub fn send_transform(
-        &mut self,
-        transform: &msg::TransformStamped,
-    ) -> std::result::Result<(), PublishError> {
+    pub fn send_transform(&mut self, transform: &msg::TransformStamped) -> Result<(), PublishError> {
         let all = &mut self.all.transforms;
         match all.iter_mut().find(|known| known.child_frame_id == transform.child_frame_id) {
             Some(known) => known.clone_from(transform),

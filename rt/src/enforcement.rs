@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What enforces budgets on this machine, found and proven by enforcing one.
 
-use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -19,14 +18,9 @@ pub enum Enforcement {
     Enforcer,
 }
 
-impl fmt::Display for Enforcement {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Enforcement::Timer => "a timer of each thread",
-            Enforcement::Enforcer => "the enforcer, a thread of higher priority",
-        })
-    }
-}
+crate::names!(Enforcement: Display {
+    Timer: "a timer of each thread", Enforcer: "the enforcer, a thread of higher priority",
+});
 
 /// What was proven in this process.
 #[derive(Debug, Clone, Copy)]

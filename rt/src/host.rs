@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The properties of this machine that matter for real time.
 
+use std::fs;
 use std::os::unix::process::CommandExt;
 use std::process::Command;
 use std::sync::OnceLock;
-use std::{fmt, fs};
 
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use rustix::system::uname;
@@ -37,16 +37,10 @@ impl Preemption {
     }
 }
 
-impl fmt::Display for Preemption {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Preemption::Rt => "PREEMPT_RT",
-            Preemption::Dynamic => "PREEMPT_DYNAMIC",
-            Preemption::Full => "PREEMPT",
-            Preemption::Voluntary => "PREEMPT_VOLUNTARY or PREEMPT_NONE",
-        })
-    }
-}
+crate::names!(Preemption: Display {
+    Rt: "PREEMPT_RT", Dynamic: "PREEMPT_DYNAMIC", Full: "PREEMPT",
+    Voluntary: "PREEMPT_VOLUNTARY or PREEMPT_NONE",
+});
 
 /// The kernel and its real-time settings.
 #[derive(Debug, Clone, PartialEq, Eq)]

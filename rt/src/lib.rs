@@ -56,6 +56,37 @@ macro_rules! debug_fields {
     };
 }
 
+/// The names of an enum's variants, in one table: all variants in its order and the name of each, the name alone, or what displays it.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! names {
+    ($type:ident: Display { $($variant:ident: $name:literal),+ $(,)? }) => {
+        impl ::core::fmt::Display for $type {
+            fn fmt(&self, f: &mut ::core::fmt::Formatter<'_>) -> ::core::fmt::Result {
+                f.write_str(match self { $(Self::$variant => $name),+ })
+            }
+        }
+    };
+    ($type:ident: $all_vis:vis const ALL: [$all:ident; $count:literal]; $($rest:tt)+) => {
+        $crate::names!($type: $($rest)+);
+        $crate::names!($type: $all_vis, $count, $($rest)+);
+    };
+    ($type:ident: $vis:vis const fn $method:ident(self) -> &'static str { $($variant:ident: $name:literal),+ $(,)? }) => {
+        impl $type {
+            /// Its name in texts.
+            $vis const fn $method(self) -> &'static str {
+                match self { $(Self::$variant => $name),+ }
+            }
+        }
+    };
+    ($type:ident: $all_vis:vis, $count:literal, $vis:vis const fn $method:ident(self) -> &'static str { $($variant:ident: $name:literal),+ $(,)? }) => {
+        impl $type {
+            /// Every one, in the order of their numbers.
+            $all_vis const ALL: [$type; $count] = [$($type::$variant),+];
+        }
+    };
+}
+
 mod budget;
 mod caches;
 mod core_time;

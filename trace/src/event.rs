@@ -47,37 +47,13 @@ pub enum EventKind {
     Pass = 10,
 }
 
+tautline_rt::names!(EventKind: pub const ALL: [EventKind; 10]; pub const fn name(self) -> &'static str {
+    Publish: "publish", Take: "take", CallbackStart: "callback_start", CallbackEnd: "callback_end",
+    SpinStart: "spin_start", SpinWake: "spin_wake", SpinTimeout: "spin_timeout", SpinEnd: "spin_end",
+    Receive: "receive", Pass: "pass",
+});
+
 impl EventKind {
-    /// Every kind, in order of its number.
-    pub const ALL: [EventKind; 10] = [
-        EventKind::Publish,
-        EventKind::Take,
-        EventKind::CallbackStart,
-        EventKind::CallbackEnd,
-        EventKind::SpinStart,
-        EventKind::SpinWake,
-        EventKind::SpinTimeout,
-        EventKind::SpinEnd,
-        EventKind::Receive,
-        EventKind::Pass,
-    ];
-
-    /// The name that exports print.
-    pub const fn name(self) -> &'static str {
-        match self {
-            EventKind::Publish => "publish",
-            EventKind::Take => "take",
-            EventKind::CallbackStart => "callback_start",
-            EventKind::CallbackEnd => "callback_end",
-            EventKind::SpinStart => "spin_start",
-            EventKind::SpinWake => "spin_wake",
-            EventKind::SpinTimeout => "spin_timeout",
-            EventKind::SpinEnd => "spin_end",
-            EventKind::Receive => "receive",
-            EventKind::Pass => "pass",
-        }
-    }
-
     fn from_number(number: u64) -> Option<EventKind> {
         EventKind::ALL.into_iter().find(|kind| *kind as u64 == number)
     }

@@ -31,32 +31,12 @@ pub enum ObjectKind {
     Sender = 8,
 }
 
+tautline_rt::names!(ObjectKind: const ALL: [ObjectKind; 8]; pub const fn name(self) -> &'static str {
+    Context: "context", Node: "node", Publisher: "publisher", Subscription: "subscription", Timer: "timer",
+    Callback: "callback", Sampler: "sampler", Sender: "sender",
+});
+
 impl ObjectKind {
-    const ALL: [ObjectKind; 8] = [
-        ObjectKind::Context,
-        ObjectKind::Node,
-        ObjectKind::Publisher,
-        ObjectKind::Subscription,
-        ObjectKind::Timer,
-        ObjectKind::Callback,
-        ObjectKind::Sampler,
-        ObjectKind::Sender,
-    ];
-
-    /// The name that exports print.
-    pub const fn name(self) -> &'static str {
-        match self {
-            ObjectKind::Context => "context",
-            ObjectKind::Node => "node",
-            ObjectKind::Publisher => "publisher",
-            ObjectKind::Subscription => "subscription",
-            ObjectKind::Timer => "timer",
-            ObjectKind::Callback => "callback",
-            ObjectKind::Sampler => "sampler",
-            ObjectKind::Sender => "sender",
-        }
-    }
-
     /// The kind with this name.
     pub fn from_name(name: &str) -> Option<ObjectKind> {
         Self::ALL.into_iter().find(|kind| kind.name() == name)

@@ -18,69 +18,24 @@ use tautline_rt::shm::{self, PeerFile};
 /// follow its [`Thread`](Record::Thread).
 #[derive(Debug)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names say it: `process` is the number of a process in this recording")]
 pub enum Record<'r> {
     /// A process; `process` is its number from here on.
-    Process {
-        /// Its number in this recording.
-        process: u32,
-        /// Its id in the kernel.
-        pid: u32,
-        /// The name that `ps` shows.
-        name: &'r str,
-    },
+    Process { process: u32, pid: u32, name: &'r str },
     /// An object of this process's events.
-    Object {
-        /// The number of its process.
-        process: u32,
-        /// Its description.
-        object: &'r Description,
-    },
+    Object { process: u32, object: &'r Description },
     /// A thread.
-    Thread {
-        /// The number of its process.
-        process: u32,
-        /// Its id in the kernel.
-        tid: u32,
-        /// Its name.
-        name: &'r str,
-    },
+    Thread { process: u32, tid: u32, name: &'r str },
     /// Events of one thread, in order.
-    Events {
-        /// The number of its process.
-        process: u32,
-        /// The id of its thread.
-        tid: u32,
-        /// The events, in order.
-        events: &'r [Event],
-    },
+    Events { process: u32, tid: u32, events: &'r [Event] },
     /// Events of one thread that were overwritten before they were fetched, or that were invalid.
-    Lost {
-        /// The number of its process.
-        process: u32,
-        /// The id of its thread.
-        tid: u32,
-        /// Their number.
-        events: u64,
-    },
+    Lost { process: u32, tid: u32, events: u64 },
     /// Events of threads without a ring, because all rings were in use.
-    Unrecorded {
-        /// The number of its process.
-        process: u32,
-        /// Their number.
-        events: u64,
-    },
+    Unrecorded { process: u32, events: u64 },
     /// Objects for which the table of their process had no room: events may refer to objects without a name.
-    Undescribed {
-        /// The number of its process.
-        process: u32,
-        /// Their number.
-        objects: u64,
-    },
+    Undescribed { process: u32, objects: u64 },
     /// A process has ended, and all its data have been fetched.
-    Ended {
-        /// The number of the process.
-        process: u32,
-    },
+    Ended { process: u32 },
 }
 
 /// Records a domain: processes record events as long as this exists.

@@ -10,7 +10,7 @@ use super::paths;
 use super::places::{self, Place};
 use super::priorities::{self, Thread};
 use super::problem::{Collector, Problems};
-use super::reader::{At, Section};
+use super::reader::{self, At, Section};
 use super::reservations;
 use super::sections;
 use super::streams::{First, Source, Streams};
@@ -20,45 +20,27 @@ use crate::system::{Callback, Chain, Core, Matching, Part, Relay, System, Transf
 use crate::{Hold, Order, Overheads, Release, Task, Throttling};
 
 pub(super) fn build(text: &str) -> Result<SystemFile, Problems> {
-    let mut problems = Collector::new(text);
-    let (table, errors) = toml::de::DeTable::parse_recoverable(text);
-    if !errors.is_empty() {
-        // What a broken table contains is guesswork: only its syntax is reported.
-        for error in errors {
-            let message = format!(
-                "{}: write this line as TOML, such as `wcet = \"1.5ms\"` below `[callbacks.scan]`; text is in quotes",
-                error.message().trim_end().replace('\n', ", ")
-            );
-            problems.add(error.span().map_or(0, |span| span.start), message);
-        }
-        return Err(problems.into_problems());
-    }
-    let mut root = Section::root(&table);
+    let problems = Collector::new(text);
+    let table = reader::parse(&problems, text, "`wcet = \"1.5ms\"` below `[callbacks.scan]`")?;
+    let mut root = Section::root(&table, &problems);
     // Of another version all keys may mean something else: nothing but that is reported.
-    if !version::check(&mut root, &mut problems) {
-        return Err(problems.into_problems());
-    }
-    let file = sections::read(root, &mut problems);
-    let (cores, places) = places::resolve(&file, &mut problems);
+    version::check(&mut root);
+    problems.check()?;
+    let file = sections::read(root);
+    let (cores, places) = places::resolve(&file, &problems);
     let graph = Graph::new(&file);
-    graph.check(&places, &mut problems);
-    let threads = priorities::threads(&file, &places, &mut problems);
-    locks::check(&file, &places, &mut problems);
-    paths::check(&graph, &mut problems);
-    if !problems.is_empty() {
-        return Err(problems.into_problems());
-    }
-    let streams = graph.streams(&mut problems);
-    if !problems.is_empty() {
-        return Err(problems.into_problems());
-    }
-    hold(&file, &places, &streams, &mut problems);
-    orders(&file, &places, &threads, &mut problems);
-    reservations::check(&file, &places, &streams, &mut problems);
-    meet(&file, &streams, &mut problems);
-    if !problems.is_empty() {
-        return Err(problems.into_problems());
-    }
+    graph.check(&places, &problems);
+    let threads = priorities::threads(&file, &places, &problems);
+    locks::check(&file, &places, &problems);
+    paths::check(&graph, &problems);
+    problems.check()?;
+    let streams = graph.streams(&problems);
+    problems.check()?;
+    hold(&file, &places, &streams, &problems);
+    orders(&file, &places, &threads, &problems);
+    reservations::check(&file, &places, &streams, &problems);
+    meet(&file, &streams, &problems);
+    problems.check()?;
     // Without problems every callback has a place.
     let places: Vec<Place> = places.into_iter().flatten().collect();
     let mut owner = vec![0; file.callbacks.len()];
@@ -66,9 +48,9 @@ pub(super) fn build(text: &str) -> Result<SystemFile, Problems> {
         thread.callbacks.iter().for_each(|i| owner[*i] = t);
     }
     let built = Builder { file: &file, graph: &graph, cores, places, streams, threads, owner }.build();
-    built.map_err(|(at, message)| {
-        problems.add(at, message);
-        problems.into_problems()
+    built.map_err(|message| {
+        problems.at(0).add(message);
+        problems.take()
     })
 }
 
@@ -84,7 +66,7 @@ struct Builder<'f> {
 }
 
 impl Builder<'_> {
-    fn build(mut self) -> Result<SystemFile, (usize, String)> {
+    fn build(mut self) -> Result<SystemFile, String> {
         let mut callbacks: Vec<Callback> = Vec::new();
         for i in 0..self.file.callbacks.len() {
             let tasks = self.streams.tasks(i);
@@ -151,7 +133,7 @@ impl Builder<'_> {
             let title = format!("host `{}`, core {number}", self.file.hosts[host].name);
             warnings.extend(
                 chosen
-                    .map_err(|error| (0, format!("{title}: {error}")))?
+                    .map_err(|error| format!("{title}: {error}"))?
                     .map(|warning| format!("{title}: {warning}")),
             );
             members.iter().zip(owners).for_each(|(i, owner)| {
@@ -455,14 +437,16 @@ impl Builder<'_> {
 }
 
 /// Checks that jobs which are to be held to their budgets can be.
-fn hold(file: &Declared, places: &[Option<Place>], streams: &Streams, problems: &mut Collector) {
+fn hold(file: &Declared, places: &[Option<Place>], streams: &Streams, problems: &Collector) {
     for (i, (callback, place)) in file.callbacks.iter().zip(places).enumerate() {
         let Some(overrun) = callback.overrun.as_ref().filter(|_| callback.holds().is_some()) else {
             continue;
         };
-        let mut problem = |what: &str| {
+        let problem = |what: &str| {
             let (name, policy) = (&callback.name, overrun.value.as_str());
-            problems.add(overrun.at, format!("callback `{name}` has `overrun = \"{policy}\"`, but {what}"));
+            problems
+                .at(overrun.at)
+                .add(format!("callback `{name}` has `overrun = \"{policy}\"`, but {what}"));
         };
         if callback.group.is_some() {
             problem(
@@ -496,46 +480,45 @@ fn hold(file: &Declared, places: &[Option<Place>], streams: &Streams, problems: 
 }
 
 /// An executor of ROS 2's takes what is ready in rounds, or the RMW shows it the highest priority alone.
-fn orders(file: &Declared, places: &[Option<Place>], threads: &[Thread], problems: &mut Collector) {
+fn orders(file: &Declared, places: &[Option<Place>], threads: &[Thread], problems: &Collector) {
     for thread in threads {
         let Some(group) = thread.group.map(|group| &file.groups[group]) else { continue };
         let ros = places[thread.callbacks[0]]
             .is_some_and(|place| file.nodes[place.node].client != Client::Tautline);
         let name = &group.name;
         match &group.order {
-            Some(At { value: Order::Fifo, at }) if ros => problems.add(
-                *at,
-                format!("group `{name}` is run by an executor of ROS 2's, which is not first in, first out: leave out its `order`"),
-            ),
-            Some(At { value: Order::Priority, at }) if !ros => problems.add(
-                *at,
-                format!("group `{name}` is run by Tautline, where each callback with a priority has a thread: leave out `order`, or the group"),
-            ),
-            Some(At { value: Order::Priority, at }) if group.priority.is_none() => problems.add(
-                *at,
-                format!("group `{name}` orders its callbacks by their priorities: give it a `priority`, too, that of its thread"),
-            ),
+            Some(At { value: Order::Fifo, at }) if ros => problems.at(*at).add(format!(
+                "group `{name}` is run by an executor of ROS 2's, which is not first in, first out: leave out its \
+                 `order`"
+            )),
+            Some(At { value: Order::Priority, at }) if !ros => problems.at(*at).add(format!(
+                "group `{name}` is run by Tautline, where each callback with a priority has a thread: leave out \
+                 `order`, or the group"
+            )),
+            Some(At { value: Order::Priority, at }) if group.priority.is_none() => problems.at(*at).add(format!(
+                "group `{name}` orders its callbacks by their priorities: give it a `priority`, too, that of its \
+                 thread"
+            )),
             _ => {}
         }
         for callback in thread.callbacks.iter().map(|i| &file.callbacks[*i]).filter(|_| group.is_ranked()) {
             let of = &callback.name;
             if callback.topics.is_empty() {
-                problems.add(
-                    callback.at,
-                    format!("callback `{of}` is a timer, which rcl runs beside the message that is reported: give it an executor of its own"),
-                );
+                problems.at(callback.at).add(format!(
+                    "callback `{of}` is a timer, which rcl runs beside the message that is reported: give it an \
+                     executor of its own"
+                ));
             } else if callback.priority.is_none() {
-                problems.add(
-                    callback.at,
-                    format!("callback `{of}` of group `{name}` has no `priority`, by which the group's callbacks are ordered"),
-                );
+                problems.at(callback.at).add(format!(
+                    "callback `{of}` of group `{name}` has no `priority`, by which the group's callbacks are ordered"
+                ));
             }
         }
     }
 }
 
 /// Checks that messages which are to meet by their stamps can.
-fn meet(file: &Declared, streams: &Streams, problems: &mut Collector) {
+fn meet(file: &Declared, streams: &Streams, problems: &Collector) {
     let period = |first: &First| match first {
         First::Callback(i) | First::Join(i) => file.callbacks[*i].period.as_ref().map(|period| period.value),
         First::Topic(i) => file.topics[*i].period.as_ref().map(|period| period.value),
@@ -560,14 +543,12 @@ fn meet(file: &Declared, streams: &Streams, problems: &mut Collector) {
         }
         let Some(window) = &callback.window else { continue };
         if let (0, Some((topic, ways))) = (window.value, shared) {
-            problems.add(
-                window.at,
-                format!(
-                    "callback `{name}` waits for equal stamps, but `{}` reaches it in {ways} ways, whose stamps have no equal in the other \
-                     topics: give each publisher a topic of its own, or make the `window` as long as stamps may lie apart",
-                    topic.value
-                ),
-            );
+            problems.at(window.at).add(format!(
+                "callback `{name}` waits for equal stamps, but `{}` reaches it in {ways} ways, whose stamps have no \
+                 equal in the other topics: give each publisher a topic of its own, or make the `window` as long as \
+                 stamps may lie apart",
+                topic.value
+            ));
             continue;
         }
         let firsts: Vec<First> = streams
@@ -578,14 +559,11 @@ fn meet(file: &Declared, streams: &Streams, problems: &mut Collector) {
         let topics = streams.topics(i).iter().map(|topic| &callback.topics[*topic]);
         let joins = firsts.iter().zip(topics).find(|(first, _)| matches!(first, First::Join(_)));
         if let Some((First::Join(join), topic)) = joins {
-            problems.add(
-                topic.at,
-                format!(
-                    "callback `{name}` goes by stamps, but those of `{}` are not known, for `{}` makes it of several messages: leave \
-                     out the `window`, to take the newest of each",
-                    topic.value, file.callbacks[*join].name
-                ),
-            );
+            problems.at(topic.at).add(format!(
+                "callback `{name}` goes by stamps, but those of `{}` are not known, for `{}` makes it of several \
+                 messages: leave out the `window`, to take the newest of each",
+                topic.value, file.callbacks[*join].name
+            ));
             continue;
         }
         // Topics from outside may be triggered together, two callbacks are not.
@@ -595,14 +573,11 @@ fn meet(file: &Declared, streams: &Streams, problems: &mut Collector) {
         let uneven = firsts.iter().position(|first| period(first) != period(&firsts[0]));
         if let (0, Some(other)) = (window.value, apart.or(uneven)) {
             let (one, other) = (&callback.topics[0].value, &callback.topics[other].value);
-            problems.add(
-                window.at,
-                format!(
-                    "callback `{name}` waits for equal stamps, but `{one}` and `{other}` {}: make the `window` as long as their \
-                     stamps may lie apart, or leave it out, to take the newest of each",
-                    if apart.is_some() { "do not come from one source" } else { "have different periods" }
-                ),
-            );
+            problems.at(window.at).add(format!(
+                "callback `{name}` waits for equal stamps, but `{one}` and `{other}` {}: make the `window` as long as \
+                 their stamps may lie apart, or leave it out, to take the newest of each",
+                if apart.is_some() { "do not come from one source" } else { "have different periods" }
+            ));
         }
     }
 }
@@ -622,7 +597,7 @@ fn paced(
     callback: &super::declared::Callback,
     shared: Option<&str>,
     periods: &[Option<u64>],
-    problems: &mut Collector,
+    problems: &Collector,
 ) {
     let Some(policy) = &callback.policy else { return };
     let name = &callback.name;
@@ -638,11 +613,8 @@ fn paced(
         let (Some((_, one)), Some((_, other))) = (fast.next(), fast.next()) else { return };
         format!("`{}` and `{}` have the same period", one.value, other.value)
     };
-    problems.add(
-        policy.at,
-        format!(
-            "callback `{name}` runs at the pace of the fastest of its topics, but {what}: let the one that sets the pace be its `topic`, \
-             and put the others into `reads`"
-        ),
-    );
+    problems.at(policy.at).add(format!(
+        "callback `{name}` runs at the pace of the fastest of its topics, but {what}: let the one that sets the pace \
+         be its `topic`, and put the others into `reads`"
+    ));
 }

@@ -32,7 +32,7 @@ impl<'f> Graph<'f> {
     }
 
     /// Checks triggers, reads and topics, and that nothing triggers itself.
-    pub fn check(&self, places: &[Option<Place>], problems: &mut Collector) {
+    pub fn check(&self, places: &[Option<Place>], problems: &Collector) {
         let shortest = self.shortest_periods();
         for (i, callback) in self.file.callbacks.iter().enumerate() {
             self.check_trigger(callback, problems);
@@ -45,60 +45,47 @@ impl<'f> Graph<'f> {
         }
         for topic in &self.file.topics {
             if let (Some(period), true) = (&topic.period, self.publishers.contains_key(topic.name.as_str())) {
-                problems.add(
-                    period.at,
-                    format!(
-                        "topic `{}` has a `period` and a publisher in the file: remove the period",
-                        topic.name
-                    ),
-                );
+                problems.at(period.at).add(format!(
+                    "topic `{}` has a `period` and a publisher in the file: remove the period",
+                    topic.name
+                ));
             }
             if let (Some(distance), Some(period)) = (&topic.min_distance, &topic.period)
                 && distance.value > period.value
             {
-                problems.add(
-                    distance.at,
-                    format!("`min_distance` of topic `{}` exceeds its period: lower it", topic.name),
-                );
+                problems
+                    .at(distance.at)
+                    .add(format!("`min_distance` of topic `{}` exceeds its period: lower it", topic.name));
             }
         }
         self.check_circles(problems);
     }
 
-    fn check_trigger(&self, callback: &Callback, problems: &mut Collector) {
+    fn check_trigger(&self, callback: &Callback, problems: &Collector) {
         let name = &callback.name;
         if !callback.triggered {
-            problems.add(
-                callback.at,
-                format!("callback `{name}` has no trigger: add `topic`, `all` or `period`"),
-            );
+            problems
+                .at(callback.at)
+                .add(format!("callback `{name}` has no trigger: add `topic`, `all` or `period`"));
         } else if let (Some(period), Some(_)) = (&callback.period, callback.topics.first()) {
-            problems.add(
-                period.at,
-                format!(
-                    "callback `{name}` has two triggers, `{}` and `period`: \
-                 remove one, or list the topic in `reads`",
-                    if callback.all.is_some() { "all" } else { "topic" }
-                ),
-            );
+            problems.at(period.at).add(format!(
+                "callback `{name}` has two triggers, `{}` and `period`: remove one, or list the topic in `reads`",
+                if callback.all.is_some() { "all" } else { "topic" }
+            ));
         }
         if callback.period.is_none() {
             for (key, value) in [("jitter", &callback.jitter), ("min_distance", &callback.min_distance)] {
                 if let (Some(value), true) = (value, callback.triggered) {
-                    problems.add(
-                        value.at,
-                        format!(
-                            "`{key}` of callback `{name}` needs a `period`: a \
-                         topic's is stated in [topics], or computed"
-                        ),
-                    );
+                    problems.at(value.at).add(format!(
+                        "`{key}` of callback `{name}` needs a `period`: a topic's is stated in [topics], or computed"
+                    ));
                 }
             }
         }
     }
 
     /// What a callback waits for: several topics, each once, and only then a window.
-    fn check_join(&self, callback: &Callback, problems: &mut Collector) {
+    fn check_join(&self, callback: &Callback, problems: &Collector) {
         let name = &callback.name;
         let Some(all) = callback.all else {
             let at = |time: &Option<At<u64>>| time.as_ref().map(|time| time.at);
@@ -107,86 +94,68 @@ impl<'f> Graph<'f> {
                 [("window", at(&callback.window)), ("take", at(&callback.take)), ("policy", policy)]
             {
                 if let Some(at) = at {
-                    problems.add(
-                        at,
-                        format!("`{key}` of callback `{name}` is without `all`: list the topics that it waits for there"),
-                    );
+                    problems.at(at).add(format!(
+                        "`{key}` of callback `{name}` is without `all`: list the topics that it waits for there"
+                    ));
                 }
             }
             return;
         };
         if callback.has_topic {
-            problems.add(
-                all,
-                format!(
-                    "callback `{name}` has two triggers, `topic` and `all`: put the topics that it waits for together into \
-                     `all`, and the others into another callback, or into `reads`"
-                ),
-            );
+            problems.at(all).add(format!(
+                "callback `{name}` has two triggers, `topic` and `all`: put the topics that it waits for together into \
+                 `all`, and the others into another callback, or into `reads`"
+            ));
             return;
         }
         if !(2..=MOST_INPUTS).contains(&callback.topics.len()) {
-            problems.add(
-                all,
-                format!(
-                    "callback `{name}` waits for {} topic(s) in `all`: list 2 to {MOST_INPUTS}, or use `topic` for one",
-                    callback.topics.len()
-                ),
-            );
+            problems.at(all).add(format!(
+                "callback `{name}` waits for {} topic(s) in `all`: list 2 to {MOST_INPUTS}, or use `topic` for one",
+                callback.topics.len()
+            ));
         }
         for (i, topic) in callback.topics.iter().enumerate() {
             if callback.topics[..i].iter().any(|other| other.value == topic.value) {
-                problems.add(
-                    topic.at,
-                    format!("callback `{name}` waits for topic `{}` twice: list it once", topic.value),
-                );
+                problems
+                    .at(topic.at)
+                    .add(format!("callback `{name}` waits for topic `{}` twice: list it once", topic.value));
             }
         }
         match (&callback.policy, &callback.window) {
-            (Some(At { value: JoinPolicy::LatestTime, at }), Some(_)) => problems.add(
-                *at,
-                format!(
-                    "callback `{name}` has `policy = \"latest_time\"`, which does not look at stamps, and a `window`: leave out one of them"
-                ),
-            ),
+            (Some(At { value: JoinPolicy::LatestTime, at }), Some(_)) => problems.at(*at).add(format!(
+                "callback `{name}` has `policy = \"latest_time\"`, which does not look at stamps, and a `window`: \
+                 leave out one of them"
+            )),
             (Some(At { value: JoinPolicy::ApproximateEpsilonTime, at }), window)
                 if window.as_ref().is_none_or(|window| window.value == 0) =>
             {
-                problems.add(
-                    *at,
-                    format!(
-                        "callback `{name}` has `policy = \"approximate_epsilon_time\"`: set its `window` to how far apart the stamps of \
-                         a set may lie, above 0; for equal stamps leave out the policy"
-                    ),
-                );
+                problems.at(*at).add(format!(
+                    "callback `{name}` has `policy = \"approximate_epsilon_time\"`: set its `window` to how far apart \
+                     the stamps of a set may lie, above 0; for equal stamps leave out the policy"
+                ));
             }
             _ => {}
         }
         if let (Some(take), Some(wcet)) = (&callback.take, &callback.wcet)
             && take.value > wcet.value
         {
-            problems.add(
-                take.at,
-                format!("`take` of callback `{name}` exceeds its wcet, of which it is a part: lower it"),
-            );
+            problems.at(take.at).add(format!(
+                "`take` of callback `{name}` exceeds its wcet, of which it is a part: lower it"
+            ));
         }
     }
 
-    fn check_topic(&self, callback: &Callback, at: usize, topic: &str, problems: &mut Collector) {
+    fn check_topic(&self, callback: &Callback, at: usize, topic: &str, problems: &Collector) {
         if self.publishers.contains_key(topic) {
             return;
         }
         match self.declared.get(topic) {
             Some(declared) if declared.period.is_some() => {}
-            Some(_) => problems.add(
-                at,
-                format!(
-                    "topic `{topic}`, used by callback `{}`, has no publisher: add it to the \
-                     `publishes` of one, or give the topic a `period` if its publisher is not in the \
-                     file",
-                    callback.name
-                ),
-            ),
+            Some(_) => problems.at(at).add(format!(
+                "topic `{topic}`, used by callback `{}`, has no publisher: add it to the `publishes` of one, or give \
+                 the topic a `period` if its publisher is not in the file",
+                callback.name
+            )),
             None => {
                 let known = self.publishers.keys().chain(self.declared.keys()).copied();
                 let hint = problems.suggestion(topic, known);
@@ -197,14 +166,10 @@ impl<'f> Graph<'f> {
                 } else {
                     hint
                 };
-                problems.add(
-                    at,
-                    format!(
-                        "callback `{}` uses topic `{topic}`, which does not \
-                     exist{fix}",
-                        callback.name
-                    ),
-                );
+                problems.at(at).add(format!(
+                    "callback `{}` uses topic `{topic}`, which does not exist{fix}",
+                    callback.name
+                ));
             }
         }
     }
@@ -216,34 +181,28 @@ impl<'f> Graph<'f> {
         at: usize,
         topic: &str,
         places: &[Option<Place>],
-        problems: &mut Collector,
+        problems: &Collector,
     ) {
         let Some(here) = places[callback] else { return };
         for &publisher in self.publishers.get(topic).into_iter().flatten() {
             let Some(there) = places[publisher].filter(|there| there.host != here.host) else { continue };
             let (from, to) = (&self.file.hosts[there.host].name, &self.file.hosts[here.host].name);
             if !self.declared.get(topic).is_some_and(|topic| topic.remote) {
-                problems.add(
-                    at,
-                    format!(
-                        "topic `{topic}` goes from host `{from}` to `{to}` but is not \
-                     remote: add `remote = true` to it in [topics]"
-                    ),
-                );
+                problems.at(at).add(format!(
+                    "topic `{topic}` goes from host `{from}` to `{to}` but is not remote: add `remote = true` to it in \
+                     [topics]"
+                ));
             }
             if self.file.network.is_none() {
-                problems.add(
-                    at,
-                    format!(
-                        "topic `{topic}` goes from host `{from}` to `{to}`: add `latency \
-                     = [shortest, longest]` to [network]"
-                    ),
-                );
+                problems.at(at).add(format!(
+                    "topic `{topic}` goes from host `{from}` to `{to}`: add `latency = [shortest, longest]` to \
+                     [network]"
+                ));
             }
         }
     }
 
-    fn check_times(&self, index: usize, period: Option<u64>, problems: &mut Collector) {
+    fn check_times(&self, index: usize, period: Option<u64>, problems: &Collector) {
         let callback = &self.file.callbacks[index];
         let name = &callback.name;
         let limits = [
@@ -262,13 +221,10 @@ impl<'f> Graph<'f> {
                 && part.value > whole
             {
                 let (value, whole) = (part.value as f64 / 1e6, whole as f64 / 1e6);
-                problems.add(
-                    part.at,
-                    format!(
-                        "`{key}` of callback `{name}` is {value} ms, more than its \
-                     {whole_key} of {whole} ms: lower it, or raise the {whole_key}"
-                    ),
-                );
+                problems.at(part.at).add(format!(
+                    "`{key}` of callback `{name}` is {value} ms, more than its {whole_key} of {whole} ms: lower it, or \
+                     raise the {whole_key}"
+                ));
             }
         }
     }
@@ -316,7 +272,7 @@ impl<'f> Graph<'f> {
         topics.flat_map(|topic| self.publishers.get(topic.value.as_str()).into_iter().flatten().copied())
     }
 
-    fn check_circles(&self, problems: &mut Collector) {
+    fn check_circles(&self, problems: &Collector) {
         // 0: not seen, 1: on the path, 2: done.
         let mut state = vec![0; self.file.callbacks.len()];
         for start in 0..state.len() {
@@ -339,14 +295,10 @@ impl<'f> Graph<'f> {
                             .rev()
                             .map(|(i, _)| format!("`{}`", self.file.callbacks[*i].name));
                         let names = names.collect::<Vec<_>>().join(", ");
-                        problems.add(
-                            self.file.callbacks[j].at,
-                            format!(
-                                "callbacks {names} trigger one \
-                             another in a circle: let one of them run by `period` and list the topic in \
-                             its `reads`"
-                            ),
-                        );
+                        problems.at(self.file.callbacks[j].at).add(format!(
+                            "callbacks {names} trigger one another in a circle: let one of them run by `period` and \
+                             list the topic in its `reads`"
+                        ));
                     }
                     Some(j) if state[j] == 0 => {
                         state[j] = 1;

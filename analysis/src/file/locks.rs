@@ -10,7 +10,7 @@ use crate::system::System;
 use crate::{CriticalSection, Hold, LockProtocol, Task, blocking};
 
 /// A lock blocks only within a core.
-pub(super) fn check(file: &Declared, places: &[Option<Place>], problems: &mut Collector) {
+pub(super) fn check(file: &Declared, places: &[Option<Place>], problems: &Collector) {
     let mut seen: HashMap<&str, (usize, usize)> = HashMap::new();
     for (i, (callback, place)) in file.callbacks.iter().zip(places).enumerate() {
         let Some(place) = place else { continue };
@@ -18,15 +18,11 @@ pub(super) fn check(file: &Declared, places: &[Option<Place>], problems: &mut Co
             let (first, core) = *seen.entry(resource).or_insert((i, place.core));
             if core != place.core {
                 let first = &file.callbacks[first].name;
-                problems.add(
-                    callback.at,
-                    format!(
-                        "`{resource}` is locked by callbacks `{first}` and `{}` \
-                     on different cores, which has no bound: move them to one core, or let them exchange \
-                     messages",
-                        callback.name
-                    ),
-                );
+                problems.at(callback.at).add(format!(
+                    "`{resource}` is locked by callbacks `{first}` and `{}` on different cores, which has no bound: \
+                     move them to one core, or let them exchange messages",
+                    callback.name
+                ));
             }
         }
     }

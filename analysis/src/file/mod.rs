@@ -19,7 +19,7 @@ mod paths;
 mod places;
 mod priorities;
 mod problem;
-mod reader;
+pub mod reader;
 mod reservations;
 mod sections;
 mod streams;
@@ -251,23 +251,14 @@ pub struct CoreEntry {
 
 /// Why a system file could not be used.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 pub enum FileError {
     /// It could not be read.
     #[error("`{}` cannot be read: {source}", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// The operating system's error.
-        source: std::io::Error,
-    },
+    Read { path: PathBuf, source: std::io::Error },
     /// Its content is wrong.
     #[error("`{}` has {} problem(s):\n{source}", path.display(), source.0.len())]
-    Content {
-        /// The file.
-        path: PathBuf,
-        /// All that is wrong with it.
-        source: Problems,
-    },
+    Content { path: PathBuf, source: Problems },
 }
 
 impl SystemFile {

@@ -9,23 +9,20 @@ use super::streams::Streams;
 use crate::system::Callback;
 
 /// Checks that every stage exists and takes something from the one before.
-pub(super) fn check(graph: &Graph<'_>, problems: &mut Collector) {
+pub(super) fn check(graph: &Graph<'_>, problems: &Collector) {
     let file = graph.file;
     for (i, chain) in file.chains.iter().enumerate() {
         if file.chains[..i].iter().any(|other| other.name == chain.name) {
-            problems.add(chain.at, format!("there are two chains called `{}`: rename one", chain.name));
+            problems.at(chain.at).add(format!("there are two chains called `{}`: rename one", chain.name));
         }
         let names = || file.callbacks.iter().map(|callback| callback.name.as_str());
         for stage in &chain.path {
             if !names().any(|name| name == stage.value) {
                 let hint = problems.suggestion(&stage.value, names());
-                problems.add(
-                    stage.at,
-                    format!(
-                        "chain `{}` passes callback `{}`, which does not exist{hint}",
-                        chain.name, stage.value
-                    ),
-                );
+                problems.at(stage.at).add(format!(
+                    "chain `{}` passes callback `{}`, which does not exist{hint}",
+                    chain.name, stage.value
+                ));
             }
         }
         for pair in chain.path.windows(2) {
@@ -33,15 +30,11 @@ pub(super) fn check(graph: &Graph<'_>, problems: &mut Collector) {
             let (Some(from), Some(to)) = (find(&pair[0].value), find(&pair[1].value)) else { continue };
             let takes = |topic: &str| to.topics.iter().chain(&to.reads).any(|taken| taken.value == topic);
             if !from.publishes.iter().any(|topic| takes(&topic.value)) {
-                problems.add(
-                    pair[1].at,
-                    format!(
-                        "chain `{}` goes from `{}` to `{}`, which neither is \
-                     triggered by nor reads a topic that `{}` publishes: correct the path, or the \
-                     topics",
-                        chain.name, from.name, to.name, from.name
-                    ),
-                );
+                problems.at(pair[1].at).add(format!(
+                    "chain `{}` goes from `{}` to `{}`, which neither is triggered by nor reads a topic that `{}` \
+                     publishes: correct the path, or the topics",
+                    chain.name, from.name, to.name, from.name
+                ));
             }
         }
     }

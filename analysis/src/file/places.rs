@@ -13,10 +13,7 @@ pub(super) struct Place {
 }
 
 /// All cores, as (host, number), and the place of each callback that has one.
-pub(super) fn resolve(
-    file: &Declared,
-    problems: &mut Collector,
-) -> (Vec<(usize, usize)>, Vec<Option<Place>>) {
+pub(super) fn resolve(file: &Declared, problems: &Collector) -> (Vec<(usize, usize)>, Vec<Option<Place>>) {
     let hosts = file.hosts.iter().enumerate();
     let cores: Vec<_> = hosts.flat_map(|(h, host)| host.cores.iter().map(move |core| (h, *core))).collect();
     for (what, missing, example) in [
@@ -25,7 +22,7 @@ pub(super) fn resolve(
         ("callback", file.callbacks.is_empty(), "[callbacks.scan]"),
     ] {
         if missing {
-            problems.add(0, format!("the file has no {what}: add one, such as {example}"));
+            problems.at(0).add(format!("the file has no {what}: add one, such as {example}"));
         }
     }
     let node_hosts: Vec<_> = file.nodes.iter().map(|node| host_of(file, node, problems)).collect();
@@ -54,7 +51,7 @@ pub(super) fn resolve(
                     _ => {
                         let message =
                             "has no core: add `core` to it or to its node, since its host has several";
-                        problems.add(callback.at, format!("{title} {message}"));
+                        problems.at(callback.at).add(format!("{title} {message}"));
                         return None;
                     }
                 }
@@ -66,50 +63,46 @@ pub(super) fn resolve(
     (cores, places)
 }
 
-fn host_of(file: &Declared, node: &Node, problems: &mut Collector) -> Option<usize> {
+fn host_of(file: &Declared, node: &Node, problems: &Collector) -> Option<usize> {
     match &node.host {
         Some(name) => {
             let found = file.hosts.iter().position(|host| host.name == name.value);
             if found.is_none() {
                 let hint = problems.suggestion(&name.value, file.hosts.iter().map(|host| host.name.as_str()));
-                problems.add(
-                    name.at,
-                    format!(
-                        "node `{}` is on host `{}`, which is not in [hosts]{hint}",
-                        node.name, name.value
-                    ),
-                );
+                problems.at(name.at).add(format!(
+                    "node `{}` is on host `{}`, which is not in [hosts]{hint}",
+                    node.name, name.value
+                ));
             }
             found
         }
         None if file.hosts.len() > 1 => {
             problems
-                .add(node.at, format!("node `{}` lacks `host`: add it, since there are several", node.name));
+                .at(node.at)
+                .add(format!("node `{}` lacks `host`: add it, since there are several", node.name));
             None
         }
         None => (!file.hosts.is_empty()).then_some(0),
     }
 }
 
-fn node_of(file: &Declared, callback: &Callback, problems: &mut Collector) -> Option<usize> {
+fn node_of(file: &Declared, callback: &Callback, problems: &Collector) -> Option<usize> {
     match &callback.node {
         Some(name) => {
             let found = file.nodes.iter().position(|node| node.name == name.value);
             if found.is_none() {
                 let hint = problems.suggestion(&name.value, file.nodes.iter().map(|node| node.name.as_str()));
                 let (callback, node) = (&callback.name, &name.value);
-                problems.add(
-                    name.at,
-                    format!("callback `{callback}` belongs to node `{node}`, which is not in [nodes]{hint}"),
-                );
+                problems.at(name.at).add(format!(
+                    "callback `{callback}` belongs to node `{node}`, which is not in [nodes]{hint}"
+                ));
             }
             found
         }
         None if file.nodes.len() > 1 => {
-            problems.add(
-                callback.at,
-                format!("callback `{}` lacks `node`: add it, since there are several", callback.name),
-            );
+            problems
+                .at(callback.at)
+                .add(format!("callback `{}` lacks `node`: add it, since there are several", callback.name));
             None
         }
         None => (!file.nodes.is_empty()).then_some(0),
@@ -122,19 +115,16 @@ fn core_index(
     host: usize,
     core: &At<i64>,
     title: &str,
-    problems: &mut Collector,
+    problems: &Collector,
 ) -> Option<usize> {
     let found = cores.iter().position(|(h, number)| *h == host && i64::try_from(*number) == Ok(core.value));
     if found.is_none() {
         let host = &file.hosts[host];
         let list = host.cores.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
-        problems.add(
-            core.at,
-            format!(
-                "{title} is on core {}, which host `{}` does not have: use one of {list}",
-                core.value, host.name
-            ),
-        );
+        problems.at(core.at).add(format!(
+            "{title} is on core {}, which host `{}` does not have: use one of {list}",
+            core.value, host.name
+        ));
     }
     found
 }

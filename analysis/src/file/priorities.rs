@@ -16,7 +16,7 @@ pub(super) struct Thread {
 }
 
 /// Joins callbacks to threads, and checks groups and the priorities that the file states.
-pub(super) fn threads(file: &Declared, places: &[Option<Place>], problems: &mut Collector) -> Vec<Thread> {
+pub(super) fn threads(file: &Declared, places: &[Option<Place>], problems: &Collector) -> Vec<Thread> {
     let mut threads: Vec<Thread> = Vec::new();
     for (i, callback) in file.callbacks.iter().enumerate() {
         let name = callback.group.as_ref().map_or(&callback.name, |group| &group.value);
@@ -25,13 +25,10 @@ pub(super) fn threads(file: &Declared, places: &[Option<Place>], problems: &mut 
             if found.is_none() {
                 let hint = problems.suggestion(&group.value, file.groups.iter().map(|g| g.name.as_str()));
                 let hint = if hint.is_empty() { format!(": add [groups.{}]", group.value) } else { hint };
-                problems.add(
-                    group.at,
-                    format!(
-                        "callback `{}` is in group `{}`, which is not in [groups]{hint}",
-                        callback.name, group.value
-                    ),
-                );
+                problems.at(group.at).add(format!(
+                    "callback `{}` is in group `{}`, which is not in [groups]{hint}",
+                    callback.name, group.value
+                ));
             }
             found
         });
@@ -60,36 +57,28 @@ pub(super) fn threads(file: &Declared, places: &[Option<Place>], problems: &mut 
         });
         if let Some(fault) = fault {
             let first = &file.callbacks[first].name;
-            problems.add(
-                callback.at,
-                format!("callbacks `{first}` and `{}` of group `{name}` {fault}", callback.name),
-            );
+            problems
+                .at(callback.at)
+                .add(format!("callbacks `{first}` and `{}` of group `{name}` {fault}", callback.name));
         }
         if let (Some(stated), Some(priority)) = (stated, thread.priority)
             && stated != priority
         {
-            problems.add(
-                callback.at,
-                format!(
-                    "callback `{}` has priority {stated} but its group `{name}` \
-                 has {priority}: a group is one thread, so state it once in \
-                 [groups.{name}]",
-                    callback.name
-                ),
-            );
+            problems.at(callback.at).add(format!(
+                "callback `{}` has priority {stated} but its group `{name}` has {priority}: a group is one thread, so \
+                 state it once in [groups.{name}]",
+                callback.name
+            ));
         }
         thread.priority = thread.priority.or(stated);
         thread.callbacks.push(i);
     }
     for group in &file.groups {
         if !file.callbacks.iter().any(|c| c.group.as_ref().is_some_and(|g| g.value == group.name)) {
-            problems.add(
-                group.at,
-                format!(
-                    "group `{}` has no callback: remove it, or add `group = \"{}\"` to some",
-                    group.name, group.name
-                ),
-            );
+            problems.at(group.at).add(format!(
+                "group `{}` has no callback: remove it, or add `group = \"{}\"` to some",
+                group.name, group.name
+            ));
         }
     }
     duplicates(file, &threads, problems);
@@ -97,7 +86,7 @@ pub(super) fn threads(file: &Declared, places: &[Option<Place>], problems: &mut 
 }
 
 /// Two threads of one priority on a core must both say that they mean it.
-fn duplicates(file: &Declared, threads: &[Thread], problems: &mut Collector) {
+fn duplicates(file: &Declared, threads: &[Thread], problems: &Collector) {
     let agrees = |thread: &Thread| thread.callbacks.iter().any(|i| file.callbacks[*i].shares_priority);
     for (i, thread) in threads.iter().enumerate() {
         let same = |other: &&Thread| other.core == thread.core && other.priority == thread.priority;
@@ -108,14 +97,11 @@ fn duplicates(file: &Declared, threads: &[Thread], problems: &mut Collector) {
         let callback = &file.callbacks[thread.callbacks[0]];
         let (at, priority) =
             (callback.priority.as_ref().map_or(callback.at, |p| p.at), thread.priority.unwrap_or(0));
-        problems.add(
-            at,
-            format!(
-                "`{}` and `{}` have priority {priority} on one core: give them different \
-             ones, or say `shares_priority = true` in both if you mean it",
-                other.name, thread.name
-            ),
-        );
+        problems.at(at).add(format!(
+            "`{}` and `{}` have priority {priority} on one core: give them different ones, or say `shares_priority = \
+             true` in both if you mean it",
+            other.name, thread.name
+        ));
     }
 }
 

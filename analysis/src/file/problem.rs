@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
+use std::cell::{Cell, RefCell};
 use std::fmt;
 
 /// What is wrong with a system file, and where.
@@ -29,18 +30,18 @@ impl fmt::Display for Problems {
 impl std::error::Error for Problems {}
 
 /// Collects problems by their place in the text.
-pub(super) struct Collector<'a> {
+pub struct Collector<'a> {
     text: &'a str,
-    found: Vec<(usize, String)>,
-    hints: u32,
+    found: RefCell<Vec<(usize, String)>>,
+    hints: Cell<u32>,
 }
 
-impl<'a> Collector<'a> {
-    pub fn new(text: &'a str) -> Self {
-        Self { text, found: Vec::new(), hints: 0 }
-    }
+/// Adds a problem at a place in the text.
+pub struct Adder<'c>(&'c Collector<'c>, usize);
 
-    pub fn add(&mut self, at: usize, message: impl Into<String>) {
+impl Adder<'_> {
+    /// Adds what is wrong there, and how to fix it.
+    pub fn add(&self, message: impl Into<String>) {
         // What the file contains does not reach a terminal as it is.
         let mut shown = String::new();
         for c in message.into().chars() {
@@ -49,24 +50,37 @@ impl<'a> Collector<'a> {
                 false => shown.push(c),
             }
         }
-        self.found.push((at, shown));
+        self.0.found.borrow_mut().push((self.1, shown));
+    }
+}
+
+impl<'a> Collector<'a> {
+    pub(super) fn new(text: &'a str) -> Self {
+        Self { text, found: RefCell::default(), hints: Cell::new(0) }
+    }
+
+    /// For a problem at this place: `problems.at(at).add(...)`.
+    pub(super) fn at(&self, at: usize) -> Adder<'_> {
+        Adder(self, at)
     }
 
     /// `: did you mean ...?` if a known name is close to the one given, else nothing. A file of which nothing fits gets no more hints than a
     /// person reads: each compares all names.
-    pub fn suggestion<'n>(&mut self, given: &str, known: impl IntoIterator<Item = &'n str>) -> String {
+    pub(super) fn suggestion<'n>(&self, given: &str, known: impl IntoIterator<Item = &'n str>) -> String {
         const MOST_HINTS: u32 = 50;
-        self.hints = self.hints.saturating_add(1);
-        if self.hints > MOST_HINTS { String::new() } else { suggestion(given, known) }
+        self.hints.update(|hints| hints.saturating_add(1));
+        if self.hints.get() > MOST_HINTS { String::new() } else { suggestion(given, known) }
     }
 
-    pub fn is_empty(&self) -> bool {
-        self.found.is_empty()
+    /// Ends with all problems that were found, if there are any.
+    pub(super) fn check(&self) -> Result<(), Problems> {
+        if self.found.borrow().is_empty() { Ok(()) } else { Err(self.take()) }
     }
 
-    pub fn into_problems(mut self) -> Problems {
-        self.found.sort();
-        self.found.dedup();
+    pub(super) fn take(&self) -> Problems {
+        let mut found = self.found.take();
+        found.sort();
+        found.dedup();
         let lines: Vec<usize> =
             std::iter::once(0).chain(self.text.match_indices('\n').map(|(newline, _)| newline + 1)).collect();
         let locate = |(at, message): (usize, String)| {
@@ -74,7 +88,7 @@ impl<'a> Collector<'a> {
             let before = self.text.get(lines[line - 1]..at).unwrap_or_default();
             Problem { line, column: before.chars().count() + 1, message }
         };
-        Problems(self.found.into_iter().map(locate).collect())
+        Problems(found.into_iter().map(locate).collect())
     }
 }
 
@@ -132,10 +146,10 @@ mod tests {
 
     #[test]
     fn places_are_lines_and_columns() {
-        let mut collector = Collector::new("a = 1\nµ = 2\n");
-        collector.add(9, "second");
-        collector.add(0, "first");
-        let problems = collector.into_problems();
+        let collector = Collector::new("a = 1\nµ = 2\n");
+        collector.at(9).add("second");
+        collector.at(0).add("first");
+        let problems = collector.take();
         assert_eq!(problems.to_string(), "1:1: first\n2:3: second");
     }
 }

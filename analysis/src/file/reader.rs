@@ -1,205 +1,294 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Reading typed values out of TOML, noting every problem instead of stopping at the first.
+//! Reading typed values out of TOML, noting every problem instead of stopping at the first. Also for files of other programs.
+use std::borrow::Cow;
+use std::ops::RangeInclusive;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::problem::{Collector, is_unprintable};
+use super::problem::{Adder, Collector, Problems, is_unprintable};
 
 /// A value and where it stands in the text.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct At<T> {
+pub struct At<T> {
+    /// The value.
     pub value: T,
+    /// Its offset in bytes.
     pub at: usize,
 }
 
-type Value<'t> = Spanned<DeValue<'t>>;
+/// A value, not read yet.
+pub type Value<'t> = Spanned<DeValue<'t>>;
+
+/// What `read` makes of a file's text. `example` is a line of such a file.
+///
+/// # Errors
+/// What is no TOML, else everything that `read` found wrong.
+pub fn read<T>(text: &str, example: &str, read: impl FnOnce(Section<'_>) -> T) -> Result<T, Problems> {
+    let problems = Collector::new(text);
+    let table = parse(&problems, text, example)?;
+    let value = read(Section::root(&table, &problems));
+    problems.check().map(|()| value)
+}
+
+pub(super) fn parse<'t>(
+    problems: &Collector<'_>,
+    text: &'t str,
+    example: &str,
+) -> Result<Spanned<DeTable<'t>>, Problems> {
+    let (table, errors) = DeTable::parse_recoverable(text);
+    // What a broken table contains is guesswork: only its syntax is reported.
+    for error in errors {
+        let message = error.message().trim_end().replace('\n', ", ");
+        let at = error.span().map_or(0, |span| span.start);
+        problems
+            .at(at)
+            .add(format!("{message}: write this line as TOML, such as {example}; text is in quotes"));
+    }
+    problems.check().map(|()| table)
+}
 
 /// A table whose keys are asked for one by one; what nobody asked for is unknown.
-pub(super) struct Section<'t> {
+pub struct Section<'t> {
     table: &'t DeTable<'t>,
     /// Its name in messages, such as "callback `imu`".
     pub title: String,
+    /// Where it stands.
     pub at: usize,
+    problems: &'t Collector<'t>,
     asked: Vec<&'static str>,
 }
 
 impl<'t> Section<'t> {
-    pub fn root(table: &'t Spanned<DeTable<'t>>) -> Self {
-        Self { table: table.get_ref(), title: "the file".into(), at: 0, asked: Vec::new() }
+    pub(super) fn root(table: &'t Spanned<DeTable<'t>>, problems: &'t Collector<'t>) -> Self {
+        Self { table: table.get_ref(), title: "the file".into(), at: 0, problems, asked: Vec::new() }
     }
 
-    pub fn of(title: String, at: usize, value: &'t Value<'t>, problems: &mut Collector) -> Option<Self> {
+    /// A table in this one.
+    pub fn inner(&self, title: String, at: usize, value: &'t Value<'t>) -> Option<Self> {
         match value.get_ref() {
-            DeValue::Table(table) => Some(Self { table, title, at, asked: Vec::new() }),
+            DeValue::Table(table) => {
+                Some(Self { table, title, at, problems: self.problems, asked: Vec::new() })
+            }
             other => {
-                problems.add(value.span().start, format!("{title} must be a table, not {}", kind(other)));
+                self.problem(value.span().start).add(format!("{title} must be a table, not {}", kind(other)));
                 None
             }
         }
     }
 
-    /// Where a key and its value stand.
-    fn get(&mut self, key: &'static str) -> Option<(usize, &'t Value<'t>)> {
+    /// For a problem at this place: `section.problem(at).add(...)`.
+    pub fn problem(&self, at: usize) -> Adder<'t> {
+        self.problems.at(at)
+    }
+
+    fn get(&mut self, key: &'static str) -> Option<&'t Value<'t>> {
         if !self.asked.contains(&key) {
             self.asked.push(key);
         }
-        self.table.get_key_value(key).map(|(key, value)| (key.span().start, value))
+        self.table.get(key)
     }
 
-    /// A sub-table for each name, in the order of the file.
-    pub fn tables(
-        &mut self,
-        key: &'static str,
-        what: &str,
-        problems: &mut Collector,
-    ) -> Vec<(String, Section<'t>)> {
-        let Some((at, value)) = self.get(key) else { return Vec::new() };
-        let Some(outer) = Section::of(format!("`{key}`"), at, value, problems) else { return Vec::new() };
+    /// What `read` makes of the sub-table of each name, in the order of the file.
+    pub fn tables<T>(&mut self, key: &'static str, what: &str, read: fn(String, Self) -> T) -> Vec<T> {
+        let Some(outer) = self.table(key) else { return Vec::new() };
         let mut entries: Vec<_> = outer.table.iter().collect();
         entries.sort_by_key(|(name, _)| name.span().start);
-        let section = |(name, value): (&'t Spanned<_>, &'t Value<'t>)| {
-            let name: &std::borrow::Cow<'t, str> = name.get_ref();
-            (name.to_string(), format!("{what} `{name}`"), value)
+        let entry = |(name, value): (&Spanned<Cow<'t, str>>, &'t Value<'t>)| {
+            let (at, name) = (name.span().start, name.get_ref().to_string());
+            let title = format!("{what} `{name}`");
+            // A name is shown in terminals and in tables.
+            if name.is_empty() || name.chars().any(is_unprintable) {
+                self.problem(at)
+                    .add(format!("the name of {title} cannot be shown: use printable characters"));
+            }
+            self.inner(title, at, value).map(|section| read(name, section))
         };
-        let named = entries.into_iter().map(|(name, value)| (name.span().start, section((name, value))));
-        let mut sections = Vec::new();
-        for (at, (name, title, value)) in named {
-            check_name(&title, &name, at, problems);
-            sections.extend(Section::of(title, at, value, problems).map(|section| (name, section)));
-        }
-        sections
+        entries.into_iter().filter_map(entry).collect()
     }
 
-    pub fn table(&mut self, key: &'static str, problems: &mut Collector) -> Option<Section<'t>> {
-        let (at, value) = self.get(key)?;
-        Section::of(format!("`{key}`"), at, value, problems)
+    /// The table `key`.
+    pub fn table(&mut self, key: &'static str) -> Option<Section<'t>> {
+        let value = self.get(key)?;
+        let at = self.table.get_key_value(key).map_or(0, |(key, _)| key.span().start);
+        self.inner(format!("`{key}`"), at, value)
     }
 
     /// The elements of an array.
-    pub fn array(&mut self, key: &'static str, problems: &mut Collector) -> Vec<&'t Value<'t>> {
-        match self.get(key).map(|(_, value)| (value, value.get_ref())) {
-            None => Vec::new(),
-            Some((_, DeValue::Array(array))) => array.iter().collect(),
+    pub fn array(&mut self, key: &'static str) -> &'t [Value<'t>] {
+        match self.get(key).map(|value| (value, value.get_ref())) {
+            None => &[],
+            Some((_, DeValue::Array(array))) => array,
             Some((value, other)) => {
-                problems.add(value.span().start, format!("`{key}` must be an array, not {}", kind(other)));
-                Vec::new()
+                let kind = kind(other);
+                self.problem(value.span().start).add(format!("`{key}` must be an array, not {kind}"));
+                &[]
             }
         }
     }
 
-    pub fn text(&mut self, key: &'static str, problems: &mut Collector) -> Option<At<String>> {
-        let (_, value) = self.get(key)?;
-        text(key, value, problems)
+    /// A string.
+    pub fn text(&mut self, key: &'static str) -> Option<At<String>> {
+        self.get(key).and_then(|value| self.text_of(key, value))
     }
 
     /// A string or an array of strings.
-    pub fn texts(&mut self, key: &'static str, problems: &mut Collector) -> Vec<At<String>> {
-        match self.get(key).map(|(_, value)| (value, value.get_ref())) {
+    pub fn texts(&mut self, key: &'static str) -> Vec<At<String>> {
+        match self.get(key).map(|value| (value, value.get_ref())) {
             None => Vec::new(),
-            Some((_, DeValue::Array(array))) => array.iter().filter_map(|v| text(key, v, problems)).collect(),
-            Some((value, _)) => text(key, value, problems).into_iter().collect(),
+            Some((_, DeValue::Array(array))) => array.iter().filter_map(|v| self.text_of(key, v)).collect(),
+            Some((value, _)) => self.text_of(key, value).into_iter().collect(),
         }
     }
 
     /// A time, such as "1.5ms", in nanoseconds.
-    pub fn time(&mut self, key: &'static str, problems: &mut Collector) -> Option<At<u64>> {
-        let (_, value) = self.get(key)?;
-        time(key, value, problems)
+    pub fn time(&mut self, key: &'static str) -> Option<At<u64>> {
+        self.get(key).and_then(|value| self.time_of(key, value))
     }
 
     /// A time that must not be zero.
-    pub fn positive_time(&mut self, key: &'static str, problems: &mut Collector) -> Option<At<u64>> {
-        let time = self.time(key, problems)?;
+    pub fn positive_time(&mut self, key: &'static str) -> Option<At<u64>> {
+        let time = self.time(key)?;
         if time.value == 0 {
-            problems.add(time.at, format!("`{key}` of {} is 0: set a time above it", self.title));
+            self.problem(time.at).add(format!("`{key}` of {} is 0: set a time above it", self.title));
             return None;
         }
         Some(time)
     }
 
-    pub fn integer(&mut self, key: &'static str, problems: &mut Collector) -> Option<At<i64>> {
-        let (_, value) = self.get(key)?;
-        integer(key, value, problems)
+    /// A whole number.
+    pub fn integer(&mut self, key: &'static str) -> Option<At<i64>> {
+        self.get(key).and_then(|value| self.integer_of(key, value))
     }
 
-    pub fn flag(&mut self, key: &'static str, problems: &mut Collector) -> bool {
-        match self.get(key).map(|(_, value)| (value, value.get_ref())) {
-            None => false,
-            Some((_, DeValue::Boolean(flag))) => *flag,
-            Some((value, other)) => {
-                problems
-                    .add(value.span().start, format!("`{key}` must be true or false, not {}", kind(other)));
-                false
-            }
+    /// A whole number in this range.
+    pub fn integer_in<N: TryFrom<i64>>(
+        &mut self,
+        key: &'static str,
+        range: RangeInclusive<i64>,
+    ) -> Option<N> {
+        let At { value, at } = self.integer(key)?;
+        let number =
+            Some(value).filter(|value| range.contains(value)).and_then(|value| N::try_from(value).ok());
+        if number.is_none() {
+            let (least, most) = range.into_inner();
+            self.problem(at).add(format!("`{key}` is {value}: write a whole number from {least} to {most}"));
         }
+        number
     }
 
-    pub fn raw(&mut self, key: &'static str) -> Option<&'t Value<'t>> {
-        self.get(key).map(|(_, value)| value)
+    /// A number in this range, with a fraction or without.
+    pub fn number_in(&mut self, key: &'static str, range: RangeInclusive<f64>, unit: &str) -> Option<f64> {
+        let text = match self.raw(key)? {
+            DeValue::Integer(number) => number.as_str(),
+            DeValue::Float(number) => number.as_str(),
+            other => kind(other),
+        };
+        let number = text.parse().ok().filter(|number| range.contains(number));
+        if number.is_none() {
+            let (least, most) = range.into_inner();
+            let at = self.at(key).unwrap_or(self.at);
+            self.problem(at).add(format!("`{key}` is {text}: write {unit} from {least} to {most}"));
+        }
+        number
     }
 
+    /// True or false; false if it is not there.
+    pub fn flag(&mut self, key: &'static str) -> bool {
+        let Some(value) = self.get(key) else { return false };
+        let flag = value.get_ref().as_bool();
+        if flag.is_none() {
+            let kind = kind(value.get_ref());
+            self.problem(value.span().start).add(format!("`{key}` must be true or false, not {kind}"));
+        }
+        flag.unwrap_or(false)
+    }
+
+    /// One of the values that have names.
+    pub fn choice<T: Copy>(&mut self, key: &'static str, choices: &[(&str, T)]) -> Option<At<T>> {
+        let At { value: given, at } = self.text(key)?;
+        let found = choices.iter().find(|(name, _)| *name == given);
+        if found.is_none() {
+            let hint = self.hint(&given, &choices.iter().map(|(name, _)| *name).collect::<Vec<_>>());
+            self.problem(at).add(format!("unknown `{key}` \"{given}\" in {}{hint}", self.title));
+        }
+        found.map(|(_, value)| At { value: *value, at })
+    }
+
+    /// The value as it is.
+    pub fn raw(&mut self, key: &'static str) -> Option<&'t DeValue<'t>> {
+        self.get(key).map(Spanned::get_ref)
+    }
+
+    /// Where the value of a key stands.
+    pub fn at(&mut self, key: &'static str) -> Option<usize> {
+        self.get(key).map(|value| value.span().start)
+    }
+
+    /// Whether there is such a key.
     pub fn has(&self, key: &str) -> bool {
         self.table.contains_key(key)
     }
 
     /// Notes the keys that nobody asked for.
-    pub fn finish(self, problems: &mut Collector) {
+    pub fn finish(self) {
         for key in self.table.keys() {
             let name: &str = key.get_ref();
             if !self.asked.contains(&name) {
-                let hint = problems.suggestion(name, self.asked.iter().copied());
-                let known =
-                    if hint.is_empty() { format!(" (known: {})", self.asked.join(", ")) } else { hint };
-                problems.add(key.span().start, format!("unknown key `{name}` in {}{known}", self.title));
+                let hint = self.hint(name, &self.asked);
+                self.problem(key.span().start).add(format!("unknown key `{name}` in {}{hint}", self.title));
             }
         }
     }
-}
 
-/// A name is shown in terminals and in tables.
-pub(super) fn check_name(title: &str, name: &str, at: usize, problems: &mut Collector) {
-    if name.is_empty() || name.chars().any(is_unprintable) {
-        problems.add(at, format!("the name of {title} cannot be shown: use printable characters"));
+    /// The known name that is close to the one given, else all of them.
+    fn hint(&self, given: &str, known: &[&str]) -> String {
+        let hint = self.problems.suggestion(given, known.iter().copied());
+        if hint.is_empty() { format!(" (known: {})", known.join(", ")) } else { hint }
     }
-}
 
-pub(super) fn text(key: &str, value: &Value<'_>, problems: &mut Collector) -> Option<At<String>> {
-    let at = value.span().start;
-    match value.get_ref() {
-        DeValue::String(text) if text.chars().any(is_unprintable) => {
-            problems
-                .add(at, format!("`{key}` is \"{text}\", which cannot be shown: use printable characters"));
-            None
+    fn text_of(&self, key: &str, value: &Value<'_>) -> Option<At<String>> {
+        let at = value.span().start;
+        match value.get_ref() {
+            DeValue::String(text) if text.chars().any(is_unprintable) => {
+                let fix = "which cannot be shown: use printable characters";
+                self.problem(at).add(format!("`{key}` is \"{text}\", {fix}"));
+                None
+            }
+            DeValue::String(text) => Some(At { value: text.to_string(), at }),
+            other => {
+                self.problem(at).add(format!("`{key}` must be a string, not {}", kind(other)));
+                None
+            }
         }
-        DeValue::String(text) => Some(At { value: text.to_string(), at }),
-        other => {
-            problems.add(at, format!("`{key}` must be a string, not {}", kind(other)));
-            None
+    }
+
+    /// A whole number in the array `key`.
+    pub fn integer_of(&self, key: &str, value: &Value<'_>) -> Option<At<i64>> {
+        let at = value.span().start;
+        let number = match value.get_ref() {
+            DeValue::Integer(number) => i64::from_str_radix(number.as_str(), number.radix()).ok(),
+            _ => None,
+        };
+        if number.is_none() {
+            let kind = kind(value.get_ref());
+            self.problem(at).add(format!("`{key}` must be a whole number, not {kind}"));
         }
+        number.map(|value| At { value, at })
     }
-}
 
-pub(super) fn integer(key: &str, value: &Value<'_>, problems: &mut Collector) -> Option<At<i64>> {
-    let at = value.span().start;
-    let number = match value.get_ref() {
-        DeValue::Integer(number) => i64::from_str_radix(number.as_str(), number.radix()).ok(),
-        _ => None,
-    };
-    if number.is_none() {
-        problems.add(at, format!("`{key}` must be a whole number, not {}", kind(value.get_ref())));
+    /// A time in the array `key`.
+    pub fn time_of(&self, key: &str, value: &Value<'_>) -> Option<At<u64>> {
+        let at = value.span().start;
+        let parsed = match value.get_ref() {
+            DeValue::String(text) => nanoseconds(text).ok_or_else(|| {
+                format!("`{key}` is not a time: \"{text}\"; write one such as \"1.5ms\" (ns, us, ms, s)")
+            }),
+            other => {
+                Err(format!("`{key}` must be a time with its unit, such as \"1.5ms\", not {}", kind(other)))
+            }
+        };
+        parsed.map(|value| At { value, at }).map_err(|message| self.problem(at).add(message)).ok()
     }
-    number.map(|value| At { value, at })
-}
-
-pub(super) fn time(key: &str, value: &Value<'_>, problems: &mut Collector) -> Option<At<u64>> {
-    let at = value.span().start;
-    let parsed = match value.get_ref() {
-        DeValue::String(text) => nanoseconds(text).ok_or_else(|| {
-            format!("`{key}` is not a time: \"{text}\"; write one such as \"1.5ms\" (ns, us, ms, s)")
-        }),
-        other => Err(format!("`{key}` must be a time with its unit, such as \"1.5ms\", not {}", kind(other))),
-    };
-    parsed.map(|value| At { value, at }).map_err(|message| problems.add(at, message)).ok()
 }
 
 /// Exact: a fraction below a nanosecond is refused.

@@ -9,20 +9,19 @@ use super::{Client, CoreEntry};
 use crate::Reservation;
 use crate::system::Callback;
 
-pub(super) fn check(file: &Declared, places: &[Option<Place>], streams: &Streams, problems: &mut Collector) {
+pub(super) fn check(file: &Declared, places: &[Option<Place>], streams: &Streams, problems: &Collector) {
     for (i, callback) in file.callbacks.iter().enumerate() {
         let name = &callback.name;
         let Some(reservation) = &callback.reservation else {
             if let Some(at) = callback.floats {
-                let message = format!(
+                problems.at(at).add(format!(
                     "callback `{name}` is on any core, which only one with a `reservation` may be: name its core"
-                );
-                problems.add(at, message);
+                ));
             }
             continue;
         };
-        let mut problem = |what: &str| {
-            problems.add(reservation.at, format!("callback `{name}` has a `reservation`, {what}"));
+        let problem = |what: &str| {
+            problems.at(reservation.at).add(format!("callback `{name}` has a `reservation`, {what}"));
         };
         if callback.priority.is_some() || callback.shares_priority {
             problem("which is above every priority: leave out `priority` and `shares_priority`");

@@ -86,7 +86,7 @@ impl Streams {
 
 impl Graph<'_> {
     /// The streams of releases of every callback, and the places of their tasks; call it on a graph without problems.
-    pub fn streams(&self, problems: &mut Collector) -> Streams {
+    pub fn streams(&self, problems: &Collector) -> Streams {
         let (sources, topics): (Vec<_>, Vec<_>) = self
             .sources(problems)
             .into_iter()
@@ -103,7 +103,7 @@ impl Graph<'_> {
     }
 
     /// The sources of every callback, each with the topic by which it comes.
-    fn sources(&self, problems: &mut Collector) -> Vec<Vec<(Source, usize)>> {
+    fn sources(&self, problems: &Collector) -> Vec<Vec<(Source, usize)>> {
         let mut streams: Vec<Vec<(Source, usize)>> = vec![Vec::new(); self.file.callbacks.len()];
         let triggered = self.triggered();
         let mut missing: Vec<usize> = (0..streams.len()).map(|i| self.triggers(i).count()).collect();
@@ -112,13 +112,11 @@ impl Graph<'_> {
             streams[i] = self.streams_of(i, &streams);
             if streams[i].len() > MAX_STREAMS {
                 let callback = &self.file.callbacks[i];
-                problems.add(
-                    callback.at,
-                    format!(
-                        "callback `{}` is reached in more than {MAX_STREAMS} ways: let a callback on the way run by `period`",
-                        callback.name
-                    ),
-                );
+                problems.at(callback.at).add(format!(
+                    "callback `{}` is reached in more than {MAX_STREAMS} ways: let a callback on the way run by \
+                     `period`",
+                    callback.name
+                ));
                 return streams;
             }
             for &to in &triggered[i] {

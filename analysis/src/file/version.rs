@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The version of the file's schema: it changes when a key goes or changes its meaning, not when one is added.
-use super::problem::Collector;
 use super::reader::Section;
 
 /// The version that is read. A file without the key `version` is of version 1.
@@ -17,14 +16,13 @@ pub fn refusal(version: i64, current: i64) -> Option<String> {
     Some(format!("the file is of version {version}, and this Tautline reads version {current}: {fix}"))
 }
 
-/// Whether the file is of the version that is read.
-pub(super) fn check(root: &mut Section<'_>, problems: &mut Collector) -> bool {
-    if let Some(version) = root.integer("version", problems)
+/// Adds a problem if the file is not of the version that is read.
+pub(super) fn check(root: &mut Section<'_>) {
+    if let Some(version) = root.integer("version")
         && let Some(refusal) = refusal(version.value, CURRENT)
     {
-        problems.add(version.at, refusal);
+        root.problem(version.at).add(refusal);
     }
-    problems.is_empty()
 }
 
 #[cfg(test)]

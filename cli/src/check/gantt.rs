@@ -2,6 +2,7 @@
 //! The timeline of the critical instant as SVG: which job has each core when all are released at once.
 use std::fmt::Write;
 
+use crate::demo::plot::shorten;
 use tautline_analysis::file::{CheckedCallback, CheckedCore, CheckedSystem};
 use tautline_analysis::timeline::{Timeline, critical_instant};
 
@@ -118,7 +119,7 @@ fn draw_core(svg: &mut String, checked: &CheckedSystem, core: &CheckedCore, top:
     for (row, (callback, tasks)) in members.iter().enumerate() {
         let y = first + ROW * (row + usize::from(overhead)) as f64;
         let priority = crate::table::priority(callback.entry.priority);
-        let label = format!("{} ({priority})", shorten(&callback.entry.name));
+        let label = format!("{} ({priority})", shorten(&callback.entry.name, 18));
         text(svg, LEFT - 10.0, y + 19.0, "n", &label);
         for job in timeline.jobs.iter().filter(|job| tasks.contains(&job.task)) {
             let end = job.end_ns.unwrap_or(until);
@@ -163,13 +164,6 @@ fn axis(svg: &mut String, until: u64, top: f64, bottom: f64, x: impl Fn(u64) -> 
     }
     text(svg, RIGHT, bottom + 30.0, "n f", "ms after the critical instant");
     line(svg, LEFT, bottom, RIGHT, bottom, "g");
-}
-
-fn shorten(name: &str) -> String {
-    match name.char_indices().nth(17) {
-        Some((end, _)) => format!("{}…", &name[..end]),
-        None => name.into(),
-    }
 }
 
 fn rect(svg: &mut String, x: f64, y: f64, width: f64, height: f64, class: &str) {

@@ -4,6 +4,7 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use crate::verb::{Failure, Outcome};
 use admit::Admitted;
 use clap::Args;
 use migrate::Migration;
@@ -56,60 +57,39 @@ pub struct CheckArgs {
     domain: Option<u32>,
 }
 
-/// Why there is no result.
-#[derive(Debug, thiserror::Error)]
-enum CheckError {
-    #[error("`{}` cannot be written: {source}", path.display())]
-    Write { path: PathBuf, source: io::Error },
-    #[error("the result cannot be printed: {0}")]
-    Print(#[from] io::Error),
-    #[error("{0}")]
-    Admission(String),
-    #[error("`{}` is not migrated: {reason}", path.display())]
-    Migration { path: PathBuf, reason: String },
-}
-
 /// Runs the verb; the exit code is the verdict.
-pub fn run(args: &CheckArgs) -> ExitCode {
+pub fn run(args: &CheckArgs) -> Outcome<ExitCode> {
+    let path = args.file.display();
     if args.migrate {
-        return match Migration::of_file(&args.file) {
-            Ok(migration) => {
-                match args.json {
-                    true => println!("{}", migration.to_json(&args.file)),
-                    false => println!("{}", migration.to_text(&args.file)),
-                }
-                ExitCode::SUCCESS
-            }
-            Err(reason) => failed(&CheckError::Migration { path: args.file.clone(), reason }),
-        };
+        let migration = Migration::of_file(&args.file)
+            .map_err(|reason| Failure::unusable(format!("`{path}` is not migrated: {reason}")))?;
+        match args.json {
+            true => println!("{}", migration.to_json(&args.file)),
+            false => println!("{}", migration.to_text(&args.file)),
+        }
+        return Ok(ExitCode::SUCCESS);
     }
     let file = match SystemFile::read(&args.file) {
         Ok(file) => file,
         Err(error) => {
             print_file_error(&error);
-            return ExitCode::from(2);
+            return Ok(ExitCode::from(2));
         }
     };
-    let label = args.file.display().to_string();
-    let admitted = args.admit.then(|| Admitted::new(&file, &label, args.domain)).transpose();
-    let admitted = match admitted {
-        Ok(admitted) => admitted,
-        Err(reason) => return failed(&CheckError::Admission(reason)),
-    };
+    let admitted = args.admit.then(|| Admitted::new(&file, &path.to_string(), args.domain)).transpose();
+    let admitted = admitted.map_err(Failure::unusable)?;
     let checked = admitted.as_ref().map_or_else(|| file.check(), |admitted| admitted.checked().clone());
     let is_good = admitted.as_ref().map_or(checked.schedulable, Admitted::is_admitted);
-    match print(args, &file, &checked, admitted.as_ref()) {
-        // The reader has closed the pipe (`taut check | head`).
-        Err(CheckError::Print(error)) if error.kind() != io::ErrorKind::BrokenPipe => failed(&error.into()),
-        Err(error @ CheckError::Write { .. }) => failed(&error),
-        _ if is_good => ExitCode::SUCCESS,
-        _ => ExitCode::from(1),
+    if let Some(path) = &args.svg {
+        let refuse = |error| Failure::unusable(format!("`{}` cannot be written: {error}", path.display()));
+        std::fs::write(path, gantt::draw(&checked)).map_err(refuse)?;
     }
-}
-
-fn failed(error: &CheckError) -> ExitCode {
-    eprintln!("taut: {error}");
-    ExitCode::from(2)
+    match print(args, &file, &checked, admitted.as_ref()) {
+        // Else the reader has closed the pipe (`taut check | head`).
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(error.into()),
+        _ if is_good => Ok(ExitCode::SUCCESS),
+        _ => Ok(ExitCode::from(1)),
+    }
 }
 
 fn print(
@@ -117,11 +97,7 @@ fn print(
     file: &SystemFile,
     checked: &CheckedSystem,
     admitted: Option<&Admitted>,
-) -> Result<(), CheckError> {
-    if let Some(path) = &args.svg {
-        let picture = gantt::draw(checked);
-        std::fs::write(path, picture).map_err(|source| CheckError::Write { path: path.clone(), source })?;
-    }
+) -> io::Result<()> {
     let growth = args.sensitivity.then(|| sensitivity::Growth::of(file));
     let mut out = crate::print::stdout();
     if args.json {
@@ -138,8 +114,7 @@ fn print(
             writeln!(out, "\nTimeline of the critical instant: {}", path.display())?;
         }
     }
-    out.flush()?;
-    Ok(())
+    out.flush()
 }
 
 /// The problems as file:line:column, to which editors can jump.

@@ -12,8 +12,9 @@ use tautline_analysis::file::{CheckedCallback, SystemFile};
 use tautline_rt::clock::thread_cpu_ns;
 use tautline_rt::{current_affinity, set_affinity};
 
-use super::{DemoArgs, DemoError};
+use super::{DemoArgs, unusable_core};
 use crate::moment::Moment;
+use crate::verb::{Failure, Outcome};
 
 /// Priorities of the publisher's sampler and worker in the paper: above the subscriber's.
 pub const PUBLISHER_SAMPLER_PRIORITY: u8 = 25;
@@ -43,22 +44,27 @@ pub struct Topic {
     pub priority: u8,
 }
 
+fn system() -> Outcome<SystemFile> {
+    let source = "examples/systems/paper.toml, from which this program was built";
+    SystemFile::parse(SYSTEM).map_err(|problems| Failure::unusable(format!("{source}: {problems}")))
+}
+
 /// The topics, fastest first.
-pub fn topics() -> Result<Vec<Topic>, DemoError> {
+pub fn topics() -> Outcome<Vec<Topic>> {
     let topic = |callback: CheckedCallback| Topic {
         name: callback.entry.name,
         period: Duration::from_nanos(callback.period_ns),
         wcet: Duration::from_nanos(callback.wcet_ns),
         priority: callback.entry.priority,
     };
-    Ok(SystemFile::parse(SYSTEM)?.check().callbacks.into_iter().map(topic).collect())
+    Ok(system()?.check().callbacks.into_iter().map(topic).collect())
 }
 
 /// Priority of the subscriber's sampler.
-pub fn sampler_priority(args: &DemoArgs) -> Result<u8, DemoError> {
+pub fn sampler_priority(args: &DemoArgs) -> Outcome<u8> {
     match args.sampler_priority {
         Some(priority) => Ok(priority),
-        None => Ok(SystemFile::parse(SYSTEM)?.cores().first().map_or(99, |core| core.sampler_priority)),
+        None => Ok(system()?.cores().first().map_or(99, |core| core.sampler_priority)),
     }
 }
 
@@ -159,9 +165,9 @@ fn collect((stats, known): &mut (Arc<CallbackStats>, u64), moments: &mut Vec<Mom
 }
 
 /// Binds the whole process to the demo's core, which threads inherit. Returns the other cores that the process may use.
-pub fn bind(core: Option<usize>) -> Result<CoreSet, DemoError> {
+pub fn bind(core: Option<usize>) -> Outcome<CoreSet> {
     let Some(core) = core else { return Ok(CoreSet::empty()) };
     let elsewhere = current_affinity()?.iter().filter(|other| *other != core);
-    set_affinity(CoreSet::one(core)).map_err(|source| DemoError::Core { core, source })?;
+    set_affinity(CoreSet::one(core)).map_err(unusable_core(core))?;
     Ok(elsewhere.fold(CoreSet::empty(), CoreSet::with))
 }

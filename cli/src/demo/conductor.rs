@@ -7,7 +7,8 @@ use super::output::Files;
 use super::process::{GLANCE, Process};
 use super::protocol::{self, Job, Line, Measured, Published};
 use super::report::{self, Costs, DemoReport, TopicRun};
-use super::{DemoArgs, DemoError, Role};
+use super::{DemoArgs, Role, unusable_core};
+use crate::verb::{Failure, Outcome};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -23,18 +24,20 @@ const DRAIN: Duration = Duration::from_millis(400);
 /// The time for which interruptions of the core are measured before the run.
 const NOISE_WINDOW: Duration = Duration::from_millis(500);
 
-pub fn run(mut args: DemoArgs) -> Result<ExitCode, DemoError> {
+pub fn run(mut args: DemoArgs) -> Outcome<ExitCode> {
     if let Some(value) =
         std::env::var_os("TAUT_REALTIME").filter(|value| !value.is_empty() && value != "required")
     {
         if value != "off" {
-            return Err(DemoError::Environment { value: value.to_string_lossy().into_owned() });
+            let value = value.to_string_lossy();
+            let text = format!("TAUT_REALTIME={value} is not understood: it may be 'required' or 'off'");
+            return Err(Failure::unusable(text));
         }
         args.no_rt = true;
     }
     let core = match args.core {
         Some(core) => {
-            CoreSet::one(core).check().map_err(|source| DemoError::Core { core, source })?;
+            CoreSet::one(core).check().map_err(unusable_core(core))?;
             core
         }
         None => current_affinity()?.iter().last().unwrap_or(0),
@@ -102,7 +105,7 @@ fn conduct(
     subscriber: &mut Process,
     interrupted: &AtomicBool,
     started: Instant,
-) -> Result<Published, DemoError> {
+) -> Outcome<Published> {
     let bar = ProgressBar::new(args.seconds * 10);
     bar.set_style(
         ProgressStyle::with_template("{elapsed:>4} [{bar:40}] {msg}")
@@ -136,7 +139,7 @@ fn conduct(
 }
 
 /// Measures the interruptions of the core before the run, at a priority above all threads of the demo.
-fn watch_core(args: &DemoArgs, core: usize) -> Result<Interruptions, DemoError> {
+fn watch_core(args: &DemoArgs, core: usize) -> Outcome<Interruptions> {
     let thread = ThreadBuilder::new("noise")
         .policy(Policy::Fifo(application::PUBLISHER_SAMPLER_PRIORITY + 1))
         .cores(CoreSet::one(core))
@@ -152,12 +155,7 @@ struct Run {
     interruptions: Interruptions,
 }
 
-fn assemble(
-    args: &DemoArgs,
-    run: &Run,
-    published: &Published,
-    measured: Measured,
-) -> Result<DemoReport, DemoError> {
+fn assemble(args: &DemoArgs, run: &Run, published: &Published, measured: Measured) -> Outcome<DemoReport> {
     let topics = application::topics()?;
     let handled: u64 = measured.topics.iter().map(|topic| topic.jobs.len() as u64).sum();
     // The processor time of both processes without the callbacks' own work, divided by the number of messages.

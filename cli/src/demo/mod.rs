@@ -15,9 +15,11 @@ mod publisher;
 mod report;
 mod subscriber;
 
+use crate::verb::{Failure, Outcome};
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use tautline_rt::RtError;
 
 /// Runs five periodic topics on one core and compares their response times with the prediction.
 ///
@@ -66,30 +68,12 @@ enum Role {
     Subscriber,
 }
 
-/// Why the demo failed.
-#[derive(Debug, thiserror::Error)]
-pub enum DemoError {
-    #[error("core {core} cannot be used: {source}; choose one with --core")]
-    Core { core: usize, source: tautline_rt::RtError },
-    #[error("{0}")]
-    Realtime(#[from] tautline_rt::RtError),
-    #[error("{0}")]
-    Setup(#[from] tautline::Error),
-    #[error("examples/systems/paper.toml, from which this program was built: {0}")]
-    System(#[from] tautline_analysis::file::Problems),
-    #[error("TAUT_REALTIME={value} is not understood: it may be 'required' or 'off'")]
-    Environment { value: String },
-    #[error("the {role} process {what}: it has said why, and says more with RUST_LOG=debug")]
-    Child { role: &'static str, what: String },
-    #[error("{} cannot be written: {source}; choose another place with --svg or --json", path.display())]
-    Write { path: PathBuf, source: std::io::Error },
-    #[error("the report cannot be printed: {0}")]
-    Print(std::io::Error),
-    #[error("the picture cannot be drawn: {0}")]
-    Plot(#[from] plot::PlotError),
+/// A core that cannot be used.
+fn unusable_core(core: usize) -> impl FnOnce(RtError) -> Failure {
+    move |error| Failure::unusable(format!("core {core} cannot be used: {error}; choose one with --core"))
 }
 
-pub fn run(args: DemoArgs) -> Result<ExitCode, DemoError> {
+pub fn run(args: DemoArgs) -> Outcome<ExitCode> {
     match args.role {
         None => conductor::run(args),
         Some(Role::Publisher) => publisher::run(&args).map(|()| ExitCode::SUCCESS),

@@ -4,6 +4,7 @@ use plotters::style::text_anchor::{HPos, VPos};
 use plotters::style::{FontTransform, RGBColor, WHITE};
 
 use super::report::{DemoReport, TopicReport};
+use crate::verb::{Failure, Outcome};
 
 mod bins;
 pub mod canvas;
@@ -34,24 +35,13 @@ const LATE: RGBColor = RGBColor(226, 102, 82);
 const DEADLINE: RGBColor = RGBColor(204, 32, 38);
 const PERCENTILE: RGBColor = RGBColor(214, 134, 0);
 
-/// Why no picture could be drawn.
-#[derive(Debug, thiserror::Error)]
-pub enum PlotError {
-    /// There is nothing to draw.
-    #[error("the report has no topics: a picture needs at least one")]
-    NoTopics,
-    /// The drawing library failed.
-    #[error("the picture could not be drawn: {0}")]
-    Drawing(String),
-}
-
 /// Draws the report as a self-contained SVG document.
 ///
 /// # Errors
-/// [`PlotError::NoTopics`] if there is nothing to draw; [`PlotError::Drawing`] if the drawing library fails.
-pub fn render_svg(report: &DemoReport) -> Result<String, PlotError> {
+/// There is nothing to draw, or the drawing library fails.
+pub fn render_svg(report: &DemoReport) -> Outcome<String> {
     if report.topics.is_empty() {
-        return Err(PlotError::NoTopics);
+        return Err(Failure::unusable("the report has no topics: a picture needs at least one"));
     }
     let panels = i32::try_from(report.topics.len()).unwrap_or(i32::MAX).min(1_000);
     let height = TOP + PANEL * panels + BOTTOM;
@@ -71,7 +61,7 @@ pub fn render_svg(report: &DemoReport) -> Result<String, PlotError> {
     Ok(svg)
 }
 
-fn draw_title(canvas: &Canvas, report: &DemoReport) -> Result<(), PlotError> {
+fn draw_title(canvas: &Canvas, report: &DemoReport) -> Outcome {
     let title = "Response times: predicted and measured";
     canvas.text(title, (LEFT, 28), text(20, INK, HPos::Left, VPos::Center).bold())?;
     let kernel = format!("Linux {} ({})", shorten(&report.kernel, 26), shorten(&report.preemption, 16));
@@ -101,7 +91,7 @@ fn draw_title(canvas: &Canvas, report: &DemoReport) -> Result<(), PlotError> {
     label(LEFT + 534, "deadline")
 }
 
-fn draw_topic(canvas: &Canvas, topic: &TopicReport, top: i32) -> Result<(), PlotError> {
+fn draw_topic(canvas: &Canvas, topic: &TopicReport, top: i32) -> Outcome {
     let bins = Bins::new(topic, BINS as usize);
     let x = |time_ms: f64| LEFT + (time_ms / bins.bin_ms * f64::from(BIN)).round() as i32;
     draw_heading(canvas, topic, bins.beyond, top + 12)?;
@@ -155,7 +145,7 @@ fn draw_topic(canvas: &Canvas, topic: &TopicReport, top: i32) -> Result<(), Plot
 }
 
 /// The two texts above the plot: the topic, and its result.
-fn draw_heading(canvas: &Canvas, topic: &TopicReport, off_scale: u64, y: i32) -> Result<(), PlotError> {
+fn draw_heading(canvas: &Canvas, topic: &TopicReport, off_scale: u64, y: i32) -> Outcome {
     let name = shorten(&topic.topic, 20);
     let bold = text(13, INK, HPos::Left, VPos::Center).bold();
     canvas.text(&name, (LEFT, y), bold)?;

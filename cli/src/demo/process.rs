@@ -2,7 +2,8 @@
 //! A child process of the demo, from the view of the process that started it.
 
 use super::protocol::{self, Line, Measured};
-use super::{DemoArgs, DemoError, Role};
+use super::{DemoArgs, Role};
+use crate::verb::{Failure, Outcome};
 use clap::ValueEnum;
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
@@ -23,12 +24,12 @@ pub struct Process {
 }
 
 impl Process {
-    pub fn start(role: Role, args: &DemoArgs) -> Result<Self, DemoError> {
+    pub fn start(role: Role, args: &DemoArgs) -> Outcome<Self> {
         let name = match role {
             Role::Publisher => "publisher",
             Role::Subscriber => "subscriber",
         };
-        let failed = |what: String| DemoError::Child { role: name, what };
+        let failed = |what: String| failed(name, &what);
         let executable =
             std::env::current_exe().map_err(|error| failed(format!("has no executable: {error}")))?;
         let mut command = Command::new(executable);
@@ -54,7 +55,7 @@ impl Process {
         Ok(Process { role: name, child, lines: protocol::listen(output) })
     }
 
-    pub fn wait_until_ready(&mut self) -> Result<(), DemoError> {
+    pub fn wait_until_ready(&mut self) -> Outcome {
         match self.lines.recv_timeout(PATIENCE) {
             Ok(Line::Ready) => Ok(()),
             Ok(_) => Err(self.failed("spoke before it was ready".into())),
@@ -70,7 +71,7 @@ impl Process {
     }
 
     /// Ends the subscriber and returns its measurements.
-    pub fn end(mut self) -> Result<Measured, DemoError> {
+    pub fn end(mut self) -> Outcome<Measured> {
         self.request_end();
         let give_up = clock::monotonic_ns() + PATIENCE.as_nanos() as u64;
         while clock::monotonic_ns() < give_up {
@@ -83,7 +84,7 @@ impl Process {
         Err(self.failed(format!("did not end within {} s", PATIENCE.as_secs())))
     }
 
-    pub fn wait(&mut self) -> Result<(), DemoError> {
+    pub fn wait(&mut self) -> Outcome {
         match self.child.wait() {
             Ok(status) if status.success() => Ok(()),
             Ok(status) => Err(self.failed(format!("failed ({status})"))),
@@ -91,21 +92,27 @@ impl Process {
         }
     }
 
-    pub fn must_live(&mut self) -> Result<(), DemoError> {
+    pub fn must_live(&mut self) -> Outcome {
         match self.child.try_wait() {
             Ok(Some(status)) => Err(self.failed(format!("ended early ({status})"))),
             _ => Ok(()),
         }
     }
 
-    pub fn ended_early(&mut self) -> DemoError {
+    pub fn ended_early(&mut self) -> Failure {
         let status = self.child.wait().map_or_else(|error| error.to_string(), |status| status.to_string());
         self.failed(format!("ended early ({status})"))
     }
 
-    fn failed(&self, what: String) -> DemoError {
-        DemoError::Child { role: self.role, what }
+    fn failed(&self, what: String) -> Failure {
+        failed(self.role, &what)
     }
+}
+
+fn failed(role: &str, what: &str) -> Failure {
+    Failure::unusable(format!(
+        "the {role} process {what}: it has said why, and says more with RUST_LOG=debug"
+    ))
 }
 
 impl Drop for Process {

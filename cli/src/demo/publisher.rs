@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The publisher process: a sampler that serves five absolute timers, a worker thread that publishes.
 
+use super::DemoArgs;
 use super::application::{self, MomentCollector, Stamped};
 use super::protocol::{self, Line, Published};
-use super::{DemoArgs, DemoError};
+use crate::verb::Outcome;
 use futures::StreamExt;
 use futures::future::join_all;
 use std::sync::Arc;
@@ -15,7 +16,7 @@ use tautline_rt::clock;
 /// Time between set-up and the first release, which all topics have in common: the critical instant.
 const LEAD: Duration = Duration::from_millis(200);
 
-pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
+pub fn run(args: &DemoArgs) -> Outcome {
     super::conductor::ignore_terminal_signals();
     let elsewhere = application::bind(args.core)?;
     let context = application::context(args, application::PUBLISHER_SAMPLER_PRIORITY).build()?;

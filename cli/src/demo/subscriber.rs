@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The subscriber process: the sampler on the main thread, one callback thread per topic.
 
+use super::DemoArgs;
 use super::application::{self, MomentCollector, Stamped, Topic};
 use super::protocol::{self, Job, Line, Measured, TopicMeasured};
-use super::{DemoArgs, DemoError};
+use crate::verb::Outcome;
 use futures::StreamExt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
@@ -11,7 +12,7 @@ use std::time::Duration;
 use tautline::{CallbackOptions, Node, SubscriptionCounters};
 use tautline_rt::{CoreMark, CoreTime, clock};
 
-pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
+pub fn run(args: &DemoArgs) -> Outcome {
     super::conductor::ignore_terminal_signals();
     let elsewhere = application::bind(args.core)?;
     let context = application::context(args, application::sampler_priority(args)?).build()?;
@@ -72,11 +73,7 @@ struct Callback {
     handle: tautline::CallbackHandle,
 }
 
-fn measured(
-    callbacks: Vec<Callback>,
-    collector: MomentCollector,
-    cpu_ns: u64,
-) -> Result<Measured, DemoError> {
+fn measured(callbacks: Vec<Callback>, collector: MomentCollector, cpu_ns: u64) -> Outcome<Measured> {
     let (mut topics, mut busy_ns) = (Vec::new(), 0);
     for callback in callbacks {
         callback.handle.stop();

@@ -16,16 +16,11 @@ pub enum Verdict {
     Good,
 }
 
-impl Verdict {
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Verdict::Bad => "bad",
-            Verdict::Unknown => "unknown",
-            Verdict::Advice => "advice",
-            Verdict::Good => "good",
-        }
-    }
+tautline_rt::names!(Verdict: pub const fn as_str(self) -> &'static str {
+    Bad: "bad", Unknown: "unknown", Advice: "advice", Good: "good",
+});
 
+impl Verdict {
     fn style(self) -> crate::print::Colour {
         match self {
             Verdict::Bad => BAD,

@@ -9,6 +9,7 @@ pub use find::Finder;
 pub use show::parts;
 
 use crate::completions;
+use crate::verb::Outcome;
 use clap::{Args, Subcommand};
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -73,8 +74,6 @@ pub enum MsgError {
         "`{text}` is not hexadecimal text: it needs pairs of digits 0-9 a-f, spaces between bytes allowed"
     )]
     Hex { text: String },
-    #[error("the result cannot be printed: {0}")]
-    Print(io::Error),
 }
 
 impl MsgError {
@@ -84,7 +83,7 @@ impl MsgError {
     }
 }
 
-pub fn run(args: MsgArgs) -> Result<ExitCode, MsgError> {
+pub fn run(args: MsgArgs) -> Outcome<ExitCode> {
     // A domain that cannot be read has no types.
     let domain = tautline::Context::domain_of_environment().unwrap_or_default();
     let mut finder = Finder::new(&args.path).in_domain(domain);
@@ -96,12 +95,8 @@ pub fn run(args: MsgArgs) -> Result<ExitCode, MsgError> {
         Verb::Hash { names } => hashes(&mut finder, names, args.json)?,
         Verb::Decode(decode) => decode::run(&mut finder, decode, args.json)?,
     };
-    match crate::print::stdout().write_all(text.as_bytes()) {
-        // The reader has closed the pipe.
-        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(ExitCode::SUCCESS),
-        Err(error) => Err(MsgError::Print(error)),
-        Ok(()) => Ok(ExitCode::SUCCESS),
-    }
+    crate::print::stdout().write_all(text.as_bytes())?;
+    Ok(ExitCode::SUCCESS)
 }
 
 /// Prints a line for each type, with its name if there are several.

@@ -35,17 +35,12 @@ pub enum HopKind {
     WholeWay,
 }
 
-impl HopKind {
-    pub const fn name(self) -> &'static str {
-        match self {
-            HopKind::ReceiveToPublish => "receive_to_publish",
-            HopKind::PublishToTake => "publish_to_take",
-            HopKind::TakeToSend => "take_to_send",
-            HopKind::SendToReceive => "send_to_receive",
-            HopKind::WholeWay => "whole_way",
-        }
-    }
+tautline_rt::names!(HopKind: pub const fn name(self) -> &'static str {
+    ReceiveToPublish: "receive_to_publish", PublishToTake: "publish_to_take", TakeToSend: "take_to_send",
+    SendToReceive: "send_to_receive", WholeWay: "whole_way",
+});
 
+impl HopKind {
     /// The missing event if a hop has no beginning.
     pub const fn beginning(self) -> &'static str {
         match self {

@@ -17,7 +17,6 @@ const FILE: &str = "tautline_packages.rs";
 /// options at their defaults.
 ///
 /// # Errors
-///
 /// As [`Builder::generate`].
 pub fn packages(folder: impl AsRef<Path>) -> Result<(), Error> {
     Builder::new().folder(folder).generate()
@@ -109,7 +108,6 @@ impl Builder {
     /// Writes the modules, and tells cargo when to do it again.
     ///
     /// # Errors
-    ///
     /// [`Error`]: a folder without definitions, a definition that is missing or not valid (with file and line), a file that
     /// cannot be read or written.
     pub fn generate(self) -> Result<(), Error> {

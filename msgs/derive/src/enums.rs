@@ -100,17 +100,12 @@ pub fn expand(
             }
 
             #[inline]
-            fn write(
-                value: &Self,
-                writer: &mut #krate::cdr::Writer<'_>,
-            ) -> ::core::result::Result<(), #krate::cdr::EncodeError> {
+            fn write(value: &Self, writer: &mut #krate::cdr::Writer<'_>) -> #krate::cdr::Encoded<()> {
                 <#integer as #krate::cdr::Form>::write(&(*value as #integer), writer)
             }
 
             #[inline]
-            fn read(
-                reader: &mut #krate::cdr::Reader<'_>,
-            ) -> ::core::result::Result<Self, #krate::cdr::Fault> {
+            fn read(reader: &mut #krate::cdr::Reader<'_>) -> #krate::cdr::Decoded<Self> {
                 let value = <#integer as #krate::cdr::Form>::read(reader)?;
                 #(
                     if value == #name::#variants as #integer {

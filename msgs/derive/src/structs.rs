@@ -4,7 +4,7 @@
 use proc_macro2::{Delimiter, Group, Span, TokenStream, TokenTree};
 use quote::{ToTokens, quote, quote_spanned};
 use syn::spanned::Spanned;
-use syn::{DataStruct, DeriveInput, Error, Expr, Field, Fields, Ident, Path, Result, Type};
+use syn::{DataStruct, DeriveInput, Error, Expr, Field, Fields, Ident, LitStr, Path, Result, Type};
 
 use crate::attributes::{Attributes, Repr};
 
@@ -30,7 +30,7 @@ pub fn expand(
     let idents: Vec<_> = fields.iter().filter_map(|field| field.ident.as_ref()).collect();
     let types: Vec<_> = fields.iter().map(|field| parenthesised(&field.ty)).collect();
     let types: Vec<_> = types.iter().collect();
-    let (first, last) = (types[0], types[types.len() - 1]);
+    let last = types[types.len() - 1];
     let last_ident = idents[idents.len() - 1];
     // One error at the field of a type that is not plain, in place of one for each use below.
     let bounds: Vec<_> = types
@@ -43,61 +43,22 @@ pub fn expand(
     let message = message_impl(name, attributes, &bounds)?;
     let proofs = fields.windows(2).map(|pair| proof(name, krate, pair[0], pair[1]));
 
-    let form = form(input, krate, &idents, &types, &bounds);
+    let literal = attributes.name.as_ref().map_or_else(String::new, LitStr::value);
     let type_name = match &attributes.name {
         Some(type_name) => quote!(::core::option::Option::Some(#type_name)),
         None => quote!(::core::option::Option::None),
     };
 
-    // The last line before the impl evaluates the arrays' own proof, also where no field follows them.
     Ok(quote! {
         #message
 
         #(#proofs)*
-        const _: usize = <#name as #krate::Plain>::CDR_SIZE;
 
-        // SAFETY: `repr(C)`, all fields are `Plain`, and the asserts above prove that C places them where CDR does.
-        #[automatically_derived]
-        unsafe impl #krate::Plain for #name
-        where
-            #(#bounds,)*
-        {
-            const CDR_SIZE: usize =
-                ::core::mem::offset_of!(#name, #last_ident) + <#last as #krate::Plain>::CDR_SIZE;
-            const FIRST_ALIGN: usize = <#first as #krate::Plain>::FIRST_ALIGN;
-            const CONTENT_SIZE: usize = 0 #(+ <#types as #krate::Plain>::CONTENT_SIZE)*;
-            const SHAPE: #krate::Shape = #krate::Shape::Struct(&#krate::StructShape {
-                ident: ::core::stringify!(#name),
-                type_name: #type_name,
-                fields: &[#((::core::stringify!(#idents), &<#types as #krate::Plain>::SHAPE)),*],
-            });
-            const ALWAYS_VALID: bool = true #(&& <#types as #krate::Plain>::ALWAYS_VALID)*;
-
-            #[inline]
-            fn validate(bytes: &[u8]) -> ::core::result::Result<(), #krate::Invalid> {
-                #(#krate::layout::validate_at::<#types>(bytes, ::core::mem::offset_of!(#name, #idents))?;)*
-                ::core::result::Result::Ok(())
-            }
-
-            #[inline]
-            fn write_fields(&self, out: &mut [u8]) {
-                #(#krate::Plain::write_fields(&self.#idents, &mut out[::core::mem::offset_of!(#name, #idents)..]);)*
-            }
-
-            #[inline]
-            fn clear_padding(memory: &mut [u8]) {
-                let end = 0usize;
-                #(
-                    let start = ::core::mem::offset_of!(#name, #idents);
-                    #krate::layout::clear(memory, end, start);
-                    #krate::layout::clear_at::<#types>(memory, start);
-                    let end = start + <#types as #krate::Plain>::CDR_SIZE;
-                )*
-                let _ = end;
+        #krate::plain_struct! {
+            @sized #literal; #name { #(#idents: #types),* } (#type_name) where [#(#bounds,)*] {
+                ::core::mem::offset_of!(#name, #last_ident) + <#last as #krate::Plain>::CDR_SIZE
             }
         }
-
-        #form
     })
 }
 
@@ -130,69 +91,6 @@ fn visible(tokens: TokenStream) -> TokenStream {
         other => other,
     };
     tokens.into_iter().map(token).collect()
-}
-
-/// `Form`, field by field.
-fn form(
-    input: &DeriveInput,
-    krate: &Path,
-    idents: &[&Ident],
-    types: &[&Type],
-    bounds: &[TokenStream],
-) -> TokenStream {
-    let name = &input.ident;
-    quote! {
-        #[automatically_derived]
-        impl #krate::cdr::Form for #name
-        where
-            #(#bounds,)*
-        {
-            type Value = Self;
-            const MIN_SIZE: usize = 0usize #(.saturating_add(<#types as #krate::cdr::Form>::MIN_SIZE))*;
-
-            #[inline]
-            fn end(value: &Self, at: usize) -> usize {
-                if let ::core::option::Option::Some(end) = #krate::dense_end::<Self>(at) {
-                    return end;
-                }
-                #(let at = <#types as #krate::cdr::Form>::end(&value.#idents, at);)*
-                at
-            }
-
-            #[inline]
-            fn write(
-                value: &Self,
-                writer: &mut #krate::cdr::Writer<'_>,
-            ) -> ::core::result::Result<(), #krate::cdr::EncodeError> {
-                if let ::core::option::Option::Some(written) =
-                    #krate::write_dense(::core::slice::from_ref(value), writer)
-                {
-                    return written;
-                }
-                #(<#types as #krate::cdr::Form>::write(&value.#idents, writer)?;)*
-                ::core::result::Result::Ok(())
-            }
-
-            #[inline]
-            fn read(
-                reader: &mut #krate::cdr::Reader<'_>,
-            ) -> ::core::result::Result<Self, #krate::cdr::Fault> {
-                if let ::core::option::Option::Some(value) = #krate::read_dense::<Self>(reader) {
-                    return ::core::result::Result::Ok(value);
-                }
-                ::core::result::Result::Ok(Self {
-                    #(#idents: match <#types as #krate::cdr::Form>::read(reader) {
-                        ::core::result::Result::Ok(value) => value,
-                        ::core::result::Result::Err(fault) => {
-                            return ::core::result::Result::Err(
-                                reader.in_field(fault, &::core::stringify!(#idents)),
-                            );
-                        }
-                    },)*
-                })
-            }
-        }
-    }
 }
 
 fn message_impl(name: &Ident, attributes: &Attributes, bounds: &[TokenStream]) -> Result<TokenStream> {

@@ -24,7 +24,6 @@ pub struct RustType {
 /// The code of these packages: a module for each, side by side.
 ///
 /// # Errors
-///
 /// [`GenerateError`] if a package has no definitions, one of them is not valid, or needs a package that is neither
 /// given nor [external](Options::external).
 pub fn generate(packages: &mut Packages, names: &[&str], options: &Options) -> Result<String, GenerateError> {
@@ -39,7 +38,6 @@ pub fn generate(packages: &mut Packages, names: &[&str], options: &Options) -> R
 /// The messages for which [`generate`] writes structs, those of services and actions included, in order of their names.
 ///
 /// # Errors
-///
 /// As [`generate`].
 pub fn messages(packages: &mut Packages, names: &[&str]) -> Result<Vec<RustType>, GenerateError> {
     let mut types = BTreeMap::new();

@@ -45,7 +45,6 @@ impl DynamicMessage {
     /// The same for the value at a path, as `ros2 topic echo --field` prints it.
     ///
     /// # Errors
-    ///
     /// As [`get`](Self::get).
     pub fn echo_field(&self, path: &str, form: EchoForm) -> Result<String, MessageError> {
         let (value, nested) = self.find(path)?;

@@ -26,67 +26,36 @@ impl fmt::Display for Place {
 
 /// Why no schema was built.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 pub enum SchemaError {
     /// A definition is not valid.
     #[error("{place}: {fault}")]
-    Definition {
-        /// Where.
-        place: Place,
-        /// What is wrong.
-        fault: Fault,
-    },
+    Definition { place: Place, fault: Fault },
     /// A name cannot be that of a type.
     #[error(
         "`{name}` is not a type name: write package/msg/Name (or srv, action) with a lower-case package and a capitalised type"
     )]
-    Name {
-        /// The name.
-        name: String,
-    },
+    Name { name: String },
     /// No definition of the type was found.
     #[error(
         "`{name}` is defined nowhere in {searched}: source the ROS 2 workspace that has it, or name its folder"
     )]
-    Missing {
-        /// The type.
-        name: String,
-        /// Where it was looked for.
-        searched: String,
-    },
+    Missing { name: String, searched: String },
     /// Two definitions of one type differ.
     #[error("`{name}` is defined twice, and differently: keep one of the definitions")]
-    Conflict {
-        /// The type.
-        name: String,
-    },
+    Conflict { name: String },
     /// A message of fixed size is too large, or has too many parts, to be handled.
     #[error("`{name}` is too large: at most {} MiB and {} values fit a message's fixed part; use sequences", MAX_SIZE >> 20, MAX_VALUES)]
-    TooLarge {
-        /// The type.
-        name: String,
-    },
+    TooLarge { name: String },
     /// A type description cannot be read.
     #[error("the type description of `{name}` is not valid: {reason}")]
-    Description {
-        /// The type, as far as it is known.
-        name: String,
-        /// What is wrong.
-        reason: String,
-    },
+    Description { name: String, reason: String },
     /// Text is no type hash.
     #[error("`{text}` is not a type hash: it needs to be RIHS01_ and 64 hexadecimal digits in lower case")]
-    Hash {
-        /// The text.
-        text: String,
-    },
+    Hash { text: String },
     /// A file cannot be read.
     #[error("cannot read {path}: {source}", path = path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
+    Io { path: PathBuf, source: std::io::Error },
 }
 
 /// The most bytes of a message's fixed part.
@@ -98,105 +67,61 @@ pub(crate) const MAX_DEPTH: usize = 64;
 
 /// What is wrong with a definition.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 pub enum Fault {
     /// A line has no name after the type.
     #[error("`{line}` is neither a field (`type name`) nor a constant (`type NAME=value`)")]
-    Line {
-        /// The line, shortened.
-        line: String,
-    },
+    Line { line: String },
     /// Text that is no type.
     #[error(
         "`{text}` is not a type: write a primitive, string<=N, package/Name or Name, then [], [N] or [<=N] for many"
     )]
-    Type {
-        /// What stands there.
-        text: String,
-    },
+    Type { text: String },
     /// The length of an array or the bound of a sequence or string.
     #[error("`{text}` is not a length: it needs to be a whole number from 1 to 4294967295")]
-    Bound {
-        /// What stands there.
-        text: String,
-    },
+    Bound { text: String },
     /// A name that a field cannot have.
     #[error(
         "`{name}` cannot name a field: use lower case, digits and single underscores, a letter first and no _ last"
     )]
-    FieldName {
-        /// The name.
-        name: String,
-    },
+    FieldName { name: String },
     /// A name that a constant cannot have.
     #[error(
         "`{name}` cannot name a constant: use upper case, digits and single underscores, a letter first and no _ last"
     )]
-    ConstantName {
-        /// The name.
-        name: String,
-    },
+    ConstantName { name: String },
     /// A keyword of C++ or Python.
     #[error("`{name}` is a keyword of C++ or Python: rename the field")]
-    Keyword {
-        /// The name.
-        name: String,
-    },
+    Keyword { name: String },
     /// Two fields or two constants share a name.
     #[error("`{name}` is defined twice: rename one of them")]
-    Duplicate {
-        /// The name.
-        name: String,
-    },
+    Duplicate { name: String },
     /// A constant whose type is no primitive.
     #[error("a constant cannot have the type `{text}`: use a number, bool, string or wstring")]
-    ConstantType {
-        /// The type.
-        text: String,
-    },
+    ConstantType { text: String },
     /// A value that does not fit its type.
     #[error("`{value}` is not a valid {expected}")]
-    Value {
-        /// The value, shortened.
-        value: String,
-        /// What would be one.
-        expected: String,
-    },
+    Value { value: String, expected: String },
     /// A default for a field that cannot have one.
     #[error("a field of type `{text}` cannot have a default: leave it out")]
-    NoDefault {
-        /// The type.
-        text: String,
-    },
+    NoDefault { text: String },
     /// `---` too rarely or too often.
     #[error("{found} lines `---`: a {what} needs {needed}")]
     Separators {
         /// `service` or `action`.
         what: &'static str,
-        /// How many are needed.
         needed: usize,
-        /// How many there are.
         found: usize,
     },
     /// A section of concatenated definitions that does not start with `MSG: package/Name`.
     #[error("`{line}` is not a section's start: `MSG: package/Name` needs to follow the line of =")]
-    Section {
-        /// The line, shortened.
-        line: String,
-    },
+    Section { line: String },
     /// A field of a type that is defined nowhere.
     #[error("`{name}` is defined nowhere in {searched}: add it, or the package that has it")]
-    Unknown {
-        /// The type.
-        name: String,
-        /// Where it was looked for.
-        searched: String,
-    },
+    Unknown { name: String, searched: String },
     /// A type that contains itself.
     #[error("{chain}: a message cannot contain itself")]
-    Recursive {
-        /// The types from one to its next occurrence.
-        chain: String,
-    },
+    Recursive { chain: String },
     /// Messages nested too deeply.
     #[error("messages are nested more than {MAX_DEPTH} deep here")]
     TooDeep,

@@ -56,7 +56,6 @@ impl DynamicMessage {
     /// A message of these fields, in the order of their definition.
     ///
     /// # Errors
-    ///
     /// [`MessageError::Value`] if one does not fit: see [`set`](Self::set).
     pub fn from_fields(schema: &Arc<Schema>, fields: Vec<Value>) -> Result<Self, MessageError> {
         let fields = check::structure(schema, 0, fields).map_err(|fault| fault.of(schema))?;
@@ -68,7 +67,6 @@ impl DynamicMessage {
     /// Allocates at most in proportion to the length of `bytes`, whatever lengths they claim.
     ///
     /// # Errors
-    ///
     /// [`MessageError::Encapsulation`] for a header that is not that of plain CDR, [`MessageError::Decode`] with
     /// field and byte for bytes that are not a value of the type.
     pub fn from_cdr(schema: &Arc<Schema>, bytes: &[u8]) -> Result<Self, MessageError> {
@@ -87,7 +85,6 @@ impl DynamicMessage {
     /// Decodes a body without header, as it lies in shared memory.
     ///
     /// # Errors
-    ///
     /// [`MessageError::Decode`], as [`from_cdr`](Self::from_cdr).
     pub fn from_body(schema: &Arc<Schema>, body: &[u8], endian: Endian) -> Result<Self, MessageError> {
         let reader = Reader::new(schema, body, endian == Endian::Big);
@@ -100,7 +97,6 @@ impl DynamicMessage {
     /// field.
     ///
     /// # Errors
-    ///
     /// [`MessageError::Decode`], as [`from_cdr`](Self::from_cdr).
     pub fn validate(schema: &Schema, body: &[u8], endian: Endian) -> Result<usize, MessageError> {
         Reader::new(schema, body, endian == Endian::Big)

@@ -44,7 +44,6 @@ impl TypeName {
     /// The name of a type that is or will be defined.
     ///
     /// # Errors
-    ///
     /// [`SchemaError::Name`] if ROS does not allow the package's or the type's name.
     pub fn new(package: &str, kind: Kind, name: &str) -> Result<Self, SchemaError> {
         if !is_package_name(package) || !is_type_name(name) {

@@ -53,7 +53,6 @@ impl Packages {
     /// Adds a definition and all that is derived from it, as if a folder had it. `file` is what errors call it.
     ///
     /// # Errors
-    ///
     /// [`SchemaError`] if the text is not valid.
     pub fn add_text(&mut self, name: &TypeName, file: &str, text: &str) -> Result<(), SchemaError> {
         for definition in parse::parse(name, file, text)? {
@@ -66,7 +65,6 @@ impl Packages {
     /// as `std_srvs/srv/SetBool_Request`.
     ///
     /// # Errors
-    ///
     /// [`SchemaError`] if a definition is missing or not valid, or a file cannot be read.
     pub fn schema(&mut self, name: &TypeName) -> Result<Schema, SchemaError> {
         Schema::resolve(name, &mut |name| self.definition(name))
@@ -76,7 +74,6 @@ impl Packages {
     /// The definition of a type; `None` if no folder has it.
     ///
     /// # Errors
-    ///
     /// [`SchemaError`] if the definition is not valid or its file cannot be read.
     pub fn definition(&mut self, name: &TypeName) -> Result<Option<Arc<Definition>>, SchemaError> {
         if !self.known.contains_key(name) {

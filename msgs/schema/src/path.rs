@@ -9,7 +9,6 @@ impl DynamicMessage {
     /// The value at a path, copied if it is an element of a list.
     ///
     /// # Errors
-    ///
     /// [`MessageError::Path`] if there is no such field or element.
     pub fn get(&self, path: &str) -> Result<Cow<'_, Value>, MessageError> {
         Ok(self.find(path)?.0)
@@ -47,7 +46,6 @@ impl DynamicMessage {
     /// sequence and its length.
     ///
     /// # Errors
-    ///
     /// [`MessageError::Path`] if there is no such field or element; [`MessageError::Value`] if the value is of another
     /// kind, a number out of range, or a list or text of a length that is not allowed. Nothing is changed then.
     pub fn set(&mut self, path: &str, value: impl Into<Value>) -> Result<(), MessageError> {

@@ -37,7 +37,6 @@ impl Schema {
     /// a line `MSG: package/Name` and its definition. This is the text `ros2msg` of rosbag2 and MCAP.
     ///
     /// # Errors
-    ///
     /// [`SchemaError`] if the text is not valid or a type is missing.
     pub fn from_text(name: &TypeName, text: &str) -> Result<Self, SchemaError> {
         let definitions = bundle::parse(name, text)?;
@@ -51,7 +50,6 @@ impl Schema {
     /// The schema that a type description describes. Constants and comments are no part of descriptions.
     ///
     /// # Errors
-    ///
     /// [`SchemaError`] if the description is not valid or a type is missing.
     pub fn from_description(description: &TypeDescription) -> Result<Self, SchemaError> {
         let (name, definitions) = description.definitions()?;
@@ -62,7 +60,6 @@ impl Schema {
     /// Looks up a type and all types it consists of.
     ///
     /// # Errors
-    ///
     /// [`SchemaError`] if a type is missing, recursive or too large; what `lookup` returns.
     pub fn resolve(name: &TypeName, lookup: &mut Lookup<'_>) -> Result<Self, SchemaError> {
         let missing = || SchemaError::Missing { name: name.to_string(), searched: String::new() };
@@ -89,7 +86,6 @@ impl Schema {
     /// The schema of one of the types that it consists of.
     ///
     /// # Errors
-    ///
     /// [`SchemaError::Missing`] if it does not consist of this one.
     pub fn of_part(&self, name: &TypeName) -> Result<Self, SchemaError> {
         let definitions = self.types.iter().map(|node| &node.definition);

@@ -101,56 +101,20 @@ impl List {
 
     /// Element `index`, copied.
     pub fn get(&self, index: usize) -> Option<Value> {
-        Some(match self {
-            Self::Bool(items) => Value::Bool(*items.get(index)?),
-            Self::I8(items) => Value::I8(*items.get(index)?),
-            Self::U8(items) => Value::U8(*items.get(index)?),
-            Self::I16(items) => Value::I16(*items.get(index)?),
-            Self::U16(items) => Value::U16(*items.get(index)?),
-            Self::I32(items) => Value::I32(*items.get(index)?),
-            Self::U32(items) => Value::U32(*items.get(index)?),
-            Self::I64(items) => Value::I64(*items.get(index)?),
-            Self::U64(items) => Value::U64(*items.get(index)?),
-            Self::F32(items) => Value::F32(*items.get(index)?),
-            Self::F64(items) => Value::F64(*items.get(index)?),
-            Self::String(items) => Value::String(items.get(index)?.clone()),
-            Self::Struct(items) => Value::Struct(items.get(index)?.clone()),
-        })
+        for_each_list!(self, items => items.get(index).cloned().map(Element::into_value))
     }
 
     /// Replaces element `index`; gives the value back if there is no such element or the types differ.
     pub(crate) fn set(&mut self, index: usize, value: Value) -> Result<(), Value> {
-        macro_rules! replace {
-            ($($variant:ident),*) => {
-                match (self, value) {
-                    $((Self::$variant(items), Value::$variant(value)) => match items.get_mut(index) {
-                        Some(item) => {
-                            *item = value;
-                            Ok(())
-                        }
-                        None => Err(Value::$variant(value)),
-                    },)*
-                    (_, value) => Err(value),
-                }
-            };
-        }
-        replace!(Bool, I8, U8, I16, U16, I32, U32, I64, U64, F32, F64, String, Struct)
+        for_each_list!(self, items => match items.get_mut(index) {
+            Some(item) => Element::of_value(value).map(|value| *item = value),
+            None => Err(value),
+        })
     }
 
     /// Appends an element; gives the value back if the types differ.
     pub(crate) fn push(&mut self, value: Value) -> Result<(), Value> {
-        macro_rules! append {
-            ($($variant:ident),*) => {
-                match (self, value) {
-                    $((Self::$variant(items), Value::$variant(value)) => {
-                        items.push(value);
-                        Ok(())
-                    })*
-                    (_, value) => Err(value),
-                }
-            };
-        }
-        append!(Bool, I8, U8, I16, U16, I32, U32, I64, U64, F32, F64, String, Struct)
+        for_each_list!(self, items => Element::of_value(value).map(|value| items.push(value)))
     }
 
     /// An empty list of elements of this type.
@@ -179,24 +143,34 @@ impl List {
     /// `len` zeros or empty strings. Not for messages: theirs are made of defaults.
     pub(crate) fn zeros(base: &Base, len: usize) -> Self {
         let mut list = Self::empty(base);
-        match &mut list {
-            Self::Bool(items) => items.resize(len, false),
-            Self::I8(items) => items.resize(len, 0),
-            Self::U8(items) => items.resize(len, 0),
-            Self::I16(items) => items.resize(len, 0),
-            Self::U16(items) => items.resize(len, 0),
-            Self::I32(items) => items.resize(len, 0),
-            Self::U32(items) => items.resize(len, 0),
-            Self::I64(items) => items.resize(len, 0),
-            Self::U64(items) => items.resize(len, 0),
-            Self::F32(items) => items.resize(len, 0.0),
-            Self::F64(items) => items.resize(len, 0.0),
-            Self::String(items) => items.resize(len, String::new()),
-            Self::Struct(_) => {}
-        }
+        for_each_list!(&mut list, items => items.resize(len, Default::default()));
         list
     }
 }
+
+/// What a list has as elements.
+trait Element: Sized {
+    fn into_value(self) -> Value;
+    /// Gives the value back if it is of another type.
+    fn of_value(value: Value) -> Result<Self, Value>;
+}
+
+macro_rules! elements {
+    ($($variant:ident: $type:ty),*) => {
+        $(impl Element for $type {
+            fn into_value(self) -> Value {
+                Value::$variant(self)
+            }
+
+            fn of_value(value: Value) -> Result<Self, Value> {
+                if let Value::$variant(value) = value { Ok(value) } else { Err(value) }
+            }
+        })*
+    };
+}
+
+elements!(Bool: bool, I8: i8, U8: u8, I16: i16, U16: u16, I32: i32, U32: u32, I64: i64, U64: u64, F32: f32, F64: f64);
+elements!(String: String, Struct: Vec<Value>);
 
 impl Value {
     /// 0, `false` or the empty string. A message's value is made of defaults instead.

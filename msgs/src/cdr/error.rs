@@ -2,48 +2,36 @@
 
 use core::fmt;
 
-/// Why a value has no CDR, or no room for it. Holds no heap memory.
+/// What is wrong with a message, and in which of its fields. Holds no heap memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct EncodeError {
-    /// The innermost message, `package/msg/Name`; empty if the value is none.
+pub struct FieldError<F> {
+    /// The innermost message, `package/msg/Name`; empty if the value is none, or if it is not known.
     pub type_name: &'static str,
     /// Its field; empty for the message itself.
     pub field: &'static str,
     /// What is wrong.
-    pub fault: EncodeFault,
+    pub fault: F,
 }
+
+/// Why a value has no CDR, or no room for it.
+pub type EncodeError = FieldError<EncodeFault>;
 
 /// Why a value cannot be encoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 pub enum EncodeFault {
     /// A sequence has more elements, or a string more characters, than the definition allows.
     #[error("its length is {len} but at most {bound} are allowed: shorten it")]
-    Bound {
-        /// The length.
-        len: usize,
-        /// The greatest length allowed.
-        bound: usize,
-    },
+    Bound { len: usize, bound: usize },
     /// A length does not fit into 32 bits.
     #[error("its length {len} does not fit into the 32 bits that CDR has for it: split it")]
-    Length {
-        /// The length.
-        len: usize,
-    },
+    Length { len: usize },
     /// The memory starts at an address at which numbers cannot be written in place.
     #[error("the memory does not start at a multiple of {align} bytes: align it")]
-    Alignment {
-        /// In bytes.
-        align: usize,
-    },
+    Alignment { align: usize },
     /// The buffer is too short.
     #[error("the buffer of {len} bytes ends before byte {needed}: make it as long as `cdr_len` says")]
-    Room {
-        /// The bytes needed up to the end of this field.
-        needed: usize,
-        /// The bytes there are.
-        len: usize,
-    },
+    Room { needed: usize, len: usize },
 }
 
 /// Why bytes are not a message of a type. Holds no heap memory.
@@ -76,6 +64,7 @@ impl Fault {
 
 /// Why bytes are not a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 pub enum DecodeFault {
     /// The bytes do not start with an encapsulation header that can be read.
     #[error(
@@ -87,20 +76,10 @@ pub enum DecodeFault {
     },
     /// The bytes end too early.
     #[error("{needed} bytes are needed but {left} are left: the message is cut off, or of another type")]
-    End {
-        /// The bytes that are needed.
-        needed: usize,
-        /// The bytes that are left.
-        left: usize,
-    },
+    End { needed: usize, left: usize },
     /// A sequence or string is longer than its bound.
     #[error("its length is {len} but at most {bound} are allowed: its publisher uses another definition")]
-    Bound {
-        /// The length found.
-        len: usize,
-        /// The greatest length allowed.
-        bound: usize,
-    },
+    Bound { len: usize, bound: usize },
     /// A string is not UTF-8, or a `wstring` not UTF-16.
     #[error("its text is not valid Unicode: its publisher wrote other bytes into a string")]
     Unicode,
@@ -109,14 +88,10 @@ pub enum DecodeFault {
     Terminator,
     /// A `bool` is neither 0 nor 1.
     #[error("{value} is not a bool: the message is of another type")]
-    Bool {
-        /// The number found.
-        value: u8,
-    },
+    Bool { value: u8 },
     /// A number that no value of an enum or `char` has.
     #[error("{value} is not a `{type_name}`: the message is of another type")]
     Value {
-        /// The number found.
         value: i64,
         /// `char`, or the enum's name.
         type_name: &'static &'static str,
@@ -128,25 +103,21 @@ pub enum DecodeFault {
     #[error(
         "the body does not start at a multiple of {align} bytes: copy it to one that does, or decode it into an owned message"
     )]
-    Alignment {
-        /// In bytes.
-        align: usize,
-    },
+    Alignment { align: usize },
     /// More bytes follow the last field than alignment explains.
     #[error(
         "{len} bytes follow the last field, where at most {most} can be padding: the message is of another type"
     )]
     Trailing {
-        /// How many.
         len: usize,
         /// How many may, given the empty sequences and the `wstring`s in the message.
         most: usize,
     },
 }
 
-impl EncodeError {
+impl<F> FieldError<F> {
     #[cold]
-    pub(crate) fn new(fault: EncodeFault) -> Self {
+    pub(crate) fn new(fault: F) -> Self {
         Self { type_name: "", field: "", fault }
     }
 
@@ -238,7 +209,7 @@ fn plain(field: &'static str) -> &'static str {
     field.strip_prefix("r#").unwrap_or(field)
 }
 
-impl fmt::Display for EncodeError {
+impl<F: fmt::Display> fmt::Display for FieldError<F> {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { type_name, field, fault } = self;
         match *field {
@@ -259,7 +230,7 @@ impl fmt::Display for DecodeError {
     }
 }
 
-impl core::error::Error for EncodeError {
+impl<F: core::error::Error + 'static> core::error::Error for FieldError<F> {
     fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
         Some(&self.fault)
     }

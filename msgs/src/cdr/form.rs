@@ -25,18 +25,15 @@ pub trait Form: Sized {
     /// Writes a value.
     ///
     /// # Real-time
-    ///
     /// Wait-free; no allocation; no syscall. Linear in the length.
     ///
     /// # Errors
-    ///
     /// [`EncodeError`] if it is longer than its bound or than the buffer.
     fn write(value: &Self::Value, writer: &mut Writer<'_>) -> Result<(), EncodeError>;
 
     /// Reads a value.
     ///
     /// # Errors
-    ///
     /// [`Fault`] if the bytes are none.
     fn read(reader: &mut Reader<'_>) -> Result<Self::Value, Fault>;
 
@@ -49,7 +46,6 @@ pub trait Form: Sized {
     /// As [`write`](Self::write), for values one after the other.
     ///
     /// # Errors
-    ///
     /// As there.
     #[inline]
     fn write_all(values: &[Self::Value], writer: &mut Writer<'_>) -> Result<(), EncodeError> {
@@ -60,7 +56,6 @@ pub trait Form: Sized {
     /// large as what is left of the body.
     ///
     /// # Errors
-    ///
     /// As there.
     fn read_vec(reader: &mut Reader<'_>, len: usize) -> Result<Vec<Self::Value>, Fault> {
         read_one_by_one::<Self>(reader, len)
@@ -69,7 +64,6 @@ pub trait Form: Sized {
     /// As [`read_vec`](Self::read_vec), for a number of values known beforehand.
     ///
     /// # Errors
-    ///
     /// As there.
     fn read_array<const N: usize>(reader: &mut Reader<'_>) -> Result<[Self::Value; N], Fault> {
         let end = DecodeFault::End { needed: N, left: reader.left() };
@@ -98,7 +92,6 @@ pub trait Bound: Form {
     /// As [`Form::read`], for at most `bound` elements or characters.
     ///
     /// # Errors
-    ///
     /// As there; [`DecodeFault::Bound`] if it is longer.
     fn read_bounded(reader: &mut Reader<'_>, bound: usize) -> Result<Self::Value, Fault>;
 }

@@ -24,7 +24,7 @@ mod view;
 mod writer;
 mod wstr;
 
-pub use error::{DecodeError, DecodeFault, EncodeError, EncodeFault, Fault, FieldPath};
+pub use error::{DecodeError, DecodeFault, EncodeError, EncodeFault, Fault, FieldError, FieldPath};
 pub use fill::{
     BoundFill, Carver, Elements, Field, Fill, Piece, Slice, Text, WText, WriteError, WriteFault, fill,
     sized_len,
@@ -43,6 +43,14 @@ pub use view::view_message;
 pub use view::{BoundView, View};
 pub use writer::Writer;
 pub use wstr::WStr;
+
+/// What generated code reads.
+#[doc(hidden)]
+pub type Decoded<T> = Result<T, Fault>;
+
+/// What generated code writes.
+#[doc(hidden)]
+pub type Encoded<T> = Result<T, EncodeError>;
 
 /// For generated code.
 #[doc(hidden)]

@@ -62,7 +62,6 @@ impl<'a> Reader<'a> {
     /// Skips to the next multiple of `align`, a power of two, and takes `len` bytes.
     ///
     /// # Errors
-    ///
     /// [`DecodeFault::End`] if the body ends before.
     #[inline(always)] // 5 % of a message of short strings
     pub fn take(&mut self, align: usize, len: usize) -> Result<&'a [u8], Fault> {
@@ -80,7 +79,6 @@ impl<'a> Reader<'a> {
     /// Takes a length.
     ///
     /// # Errors
-    ///
     /// As [`take`](Self::take).
     #[inline(always)] // 5 % of a message of short strings
     pub fn length(&mut self) -> Result<usize, Fault> {
@@ -96,7 +94,6 @@ impl<'a> Reader<'a> {
     /// Checks that what is left can be `count` elements of at least `min_size` bytes each.
     ///
     /// # Errors
-    ///
     /// [`DecodeFault::End`] otherwise.
     #[inline]
     pub fn expect(&self, count: usize, min_size: usize) -> Result<(), Fault> {
@@ -107,7 +104,6 @@ impl<'a> Reader<'a> {
     /// Checks that no more bytes are left than ROS 2 may append.
     ///
     /// # Errors
-    ///
     /// [`DecodeFault::Trailing`] otherwise.
     pub fn finish(&self) -> Result<(), Fault> {
         let (len, most) = (self.left(), self.slack);

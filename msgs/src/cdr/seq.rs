@@ -40,7 +40,6 @@ impl<'a, F: View> Seq<'a, F> {
     /// The element `index`, counted from 0.
     ///
     /// # Real-time
-    ///
     /// Wait-free; no allocation; no syscall. Linear in `index`: the elements before it are skipped.
     pub fn get(self, index: usize) -> Option<F::Ref<'a>> {
         self.iter().nth(index)
@@ -88,7 +87,6 @@ impl<'a, F: View> Iterator for Iter<'a, F> {
     type Item = F::Ref<'a>;
 
     /// # Real-time
-    ///
     /// Wait-free; no allocation; no syscall. As checking the element.
     fn next(&mut self) -> Option<F::Ref<'a>> {
         self.left = self.left.checked_sub(1)?;

@@ -20,25 +20,21 @@ pub trait View: Form {
     /// Checks a value.
     ///
     /// # Real-time
-    ///
     /// Wait-free; no allocation; no syscall. See [`Message::view`](crate::Message::view).
     ///
     /// # Errors
-    ///
     /// [`Fault`] if the bytes are none.
     fn view_value<'a>(reader: &mut Reader<'a>) -> Result<Self::Ref<'a>, Fault>;
 
     /// As [`view_value`](Self::view_value), for `len` values one after the other.
     ///
     /// # Errors
-    ///
     /// As there.
     fn view_list<'a>(reader: &mut Reader<'a>, len: usize) -> Result<Self::List<'a>, Fault>;
 
     /// As [`view_list`](Self::view_list), for a number of values known beforehand.
     ///
     /// # Errors
-    ///
     /// As there.
     fn view_array<'a, const N: usize>(reader: &mut Reader<'a>) -> Result<Self::Array<'a, N>, Fault>;
 
@@ -59,13 +55,14 @@ pub trait BoundView: View + Bound {
     /// As [`View::view_value`], for at most `bound` elements or characters.
     ///
     /// # Errors
-    ///
     /// As there; [`DecodeFault::Bound`] if it is longer.
     fn view_bounded<'a>(reader: &mut Reader<'a>, bound: usize) -> Result<Self::Ref<'a>, Fault>;
 }
 
 /// Lists of forms whose values differ in length, or are padded: read one by one.
-macro_rules! seq {
+#[doc(hidden)]
+#[macro_export]
+macro_rules! viewed_one_by_one {
     () => {
         type List<'a> = $crate::cdr::Seq<'a, Self>;
         type Array<'a, const LEN: usize> = $crate::cdr::Seq<'a, Self>;
@@ -74,14 +71,14 @@ macro_rules! seq {
         fn view_list<'a>(
             reader: &mut $crate::cdr::Reader<'a>,
             len: usize,
-        ) -> ::core::result::Result<Self::List<'a>, $crate::cdr::Fault> {
+        ) -> $crate::cdr::Decoded<Self::List<'a>> {
             $crate::cdr::Seq::check(reader, len)
         }
 
         #[inline]
         fn view_array<'a, const LEN: usize>(
             reader: &mut $crate::cdr::Reader<'a>,
-        ) -> ::core::result::Result<Self::Array<'a, LEN>, $crate::cdr::Fault> {
+        ) -> $crate::cdr::Decoded<Self::Array<'a, LEN>> {
             $crate::cdr::Seq::check(reader, LEN)
         }
 
@@ -103,8 +100,7 @@ macro_rules! numbers {
     ($($type:ty)*) => {$(
         impl View for $type {
             type Ref<'a> = Self;
-            type List<'a> = &'a [Self];
-            type Array<'a, const N: usize> = &'a [Self; N];
+            crate::dense_struct!(@lists);
 
             #[inline]
             fn view_value<'a>(reader: &mut Reader<'a>) -> Result<Self, Fault> {
@@ -127,16 +123,6 @@ macro_rules! numbers {
             #[inline]
             fn own(view: Self) -> Self {
                 view
-            }
-
-            #[inline]
-            fn own_list(view: &[Self]) -> Vec<Self> {
-                view.to_vec()
-            }
-
-            #[inline]
-            fn own_array<const N: usize>(view: &[Self; N]) -> [Self; N] {
-                *view
             }
         }
     )*};
@@ -253,7 +239,6 @@ fn values<'a, T: Plain>(reader: &mut Reader<'a>, len: usize) -> Result<&'a [T], 
 /// Checks a whole body.
 ///
 /// # Errors
-///
 /// As [`Message::view`].
 #[doc(hidden)]
 #[inline]
@@ -265,7 +250,7 @@ pub fn view_message<T: Message + View>(body: Body<'_>) -> Result<T::Ref<'_>, Dec
 
 impl<F: View> View for Vec<F> {
     type Ref<'a> = F::List<'a>;
-    seq!();
+    crate::viewed_one_by_one!();
 
     #[inline]
     fn view_value<'a>(reader: &mut Reader<'a>) -> Result<F::List<'a>, Fault> {
@@ -289,7 +274,7 @@ impl<F: View> BoundView for Vec<F> {
 
 impl<F: View<Value: Default>, const N: usize> View for [F; N] {
     type Ref<'a> = F::Array<'a, N>;
-    seq!();
+    crate::viewed_one_by_one!();
 
     #[inline]
     fn view_value<'a>(reader: &mut Reader<'a>) -> Result<F::Array<'a, N>, Fault> {
@@ -303,7 +288,7 @@ impl<F: View<Value: Default>, const N: usize> View for [F; N] {
 
 impl<F: BoundView, const N: usize> View for Bounded<F, N> {
     type Ref<'a> = F::Ref<'a>;
-    seq!();
+    crate::viewed_one_by_one!();
 
     #[inline]
     fn view_value<'a>(reader: &mut Reader<'a>) -> Result<F::Ref<'a>, Fault> {
@@ -317,7 +302,7 @@ impl<F: BoundView, const N: usize> View for Bounded<F, N> {
 
 impl View for String {
     type Ref<'a> = &'a str;
-    seq!();
+    crate::viewed_one_by_one!();
 
     #[inline]
     fn view_value<'a>(reader: &mut Reader<'a>) -> Result<&'a str, Fault> {
@@ -338,7 +323,7 @@ impl BoundView for String {
 
 impl View for WString {
     type Ref<'a> = WStr<'a>;
-    seq!();
+    crate::viewed_one_by_one!();
 
     #[inline]
     fn view_value<'a>(reader: &mut Reader<'a>) -> Result<WStr<'a>, Fault> {

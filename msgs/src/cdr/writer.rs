@@ -23,11 +23,9 @@ impl<'a> Writer<'a> {
     /// Appends zeros up to the next multiple of `align`, a power of two, then `bytes`.
     ///
     /// # Real-time
-    ///
     /// Wait-free; no allocation; no syscall. Linear in the number of bytes.
     ///
     /// # Errors
-    ///
     /// [`EncodeFault::Room`] if the buffer ends before; nothing is written then.
     #[inline(always)] // 5 % of a message of short strings
     pub fn put(&mut self, align: usize, bytes: &[u8]) -> Result<(), EncodeError> {
@@ -46,11 +44,9 @@ impl<'a> Writer<'a> {
     /// Appends a string: its length, its UTF-8 and a zero byte.
     ///
     /// # Real-time
-    ///
     /// As [`put`](Self::put).
     ///
     /// # Errors
-    ///
     /// As [`length`](Self::length).
     #[inline(always)] // 5 % of a message of short strings
     pub(crate) fn string(&mut self, text: &str) -> Result<(), EncodeError> {
@@ -78,11 +74,9 @@ impl<'a> Writer<'a> {
     /// Appends a length as `uint32`.
     ///
     /// # Real-time
-    ///
     /// Wait-free; no allocation; no syscall.
     ///
     /// # Errors
-    ///
     /// [`EncodeFault::Length`] if it does not fit, else as [`put`](Self::put).
     #[inline]
     pub fn length(&mut self, len: usize) -> Result<(), EncodeError> {

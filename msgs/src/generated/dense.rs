@@ -8,13 +8,10 @@ macro_rules! dense_struct {
     ($type:ident) => {
         impl $crate::cdr::View for $type {
             type Ref<'a> = &'a Self;
-            type List<'a> = &'a [Self];
-            type Array<'a, const N: usize> = &'a [Self; N];
+            $crate::dense_struct!(@lists);
 
             #[inline]
-            fn view_value<'a>(
-                reader: &mut $crate::cdr::Reader<'a>,
-            ) -> ::core::result::Result<&'a Self, $crate::cdr::Fault> {
+            fn view_value<'a>(reader: &mut $crate::cdr::Reader<'a>) -> $crate::cdr::Decoded<&'a Self> {
                 $crate::cdr::dense::view_one(reader)
             }
 
@@ -22,14 +19,14 @@ macro_rules! dense_struct {
             fn view_list<'a>(
                 reader: &mut $crate::cdr::Reader<'a>,
                 len: usize,
-            ) -> ::core::result::Result<&'a [Self], $crate::cdr::Fault> {
+            ) -> $crate::cdr::Decoded<&'a [Self]> {
                 $crate::cdr::dense::view_list(reader, len)
             }
 
             #[inline]
             fn view_array<'a, const N: usize>(
                 reader: &mut $crate::cdr::Reader<'a>,
-            ) -> ::core::result::Result<&'a [Self; N], $crate::cdr::Fault> {
+            ) -> $crate::cdr::Decoded<&'a [Self; N]> {
                 $crate::cdr::dense::view_array(reader, $crate::cdr::dense::view_list)
             }
 
@@ -37,19 +34,24 @@ macro_rules! dense_struct {
             fn own(view: &Self) -> Self {
                 *view
             }
-
-            #[inline]
-            fn own_list(view: &[Self]) -> ::std::vec::Vec<Self> {
-                view.to_vec()
-            }
-
-            #[inline]
-            fn own_array<const N: usize>(view: &[Self; N]) -> [Self; N] {
-                *view
-            }
         }
 
         $crate::dense_struct!(@fill $type);
+    };
+    // Of numbers, too.
+    (@lists) => {
+        type List<'a> = &'a [Self];
+        type Array<'a, const LEN: usize> = &'a [Self; LEN];
+
+        #[inline]
+        fn own_list(view: &[Self]) -> ::std::vec::Vec<Self> {
+            view.to_vec()
+        }
+
+        #[inline]
+        fn own_array<const LEN: usize>(view: &[Self; LEN]) -> [Self; LEN] {
+            *view
+        }
     };
     (@fill $type:ident) => {
         impl $crate::cdr::Fill for $type {
@@ -90,7 +92,7 @@ macro_rules! dense_struct {
             fn carve<'a, 's: 's>(
                 _: (),
                 carver: &mut $crate::cdr::Carver<'a>,
-            ) -> ::core::result::Result<$crate::cdr::Field<'a, Self>, $crate::cdr::EncodeError> {
+            ) -> $crate::cdr::Encoded<$crate::cdr::Field<'a, Self>> {
                 $crate::cdr::dense::field(carver)
             }
 
@@ -99,7 +101,7 @@ macro_rules! dense_struct {
                 len: usize,
                 bound: usize,
                 carver: &mut $crate::cdr::Carver<'a>,
-            ) -> ::core::result::Result<$crate::cdr::Slice<'a, Self>, $crate::cdr::EncodeError> {
+            ) -> $crate::cdr::Encoded<$crate::cdr::Slice<'a, Self>> {
                 carver.length(len, bound)?;
                 $crate::cdr::dense::values(len, carver)
             }
@@ -108,7 +110,7 @@ macro_rules! dense_struct {
             fn carve_array<'a, 's: 's, const N: usize>(
                 _: (),
                 carver: &mut $crate::cdr::Carver<'a>,
-            ) -> ::core::result::Result<$crate::cdr::Slice<'a, Self>, $crate::cdr::EncodeError> {
+            ) -> $crate::cdr::Encoded<$crate::cdr::Slice<'a, Self>> {
                 $crate::cdr::dense::values(N, carver)
             }
         }

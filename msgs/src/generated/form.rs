@@ -16,24 +16,19 @@ macro_rules! cdr_form {
             }
 
             #[inline]
-            fn write(
-                _: &Self,
-                writer: &mut $crate::cdr::Writer<'_>,
-            ) -> ::core::result::Result<(), $crate::cdr::EncodeError> {
+            fn write(_: &Self, writer: &mut $crate::cdr::Writer<'_>) -> $crate::cdr::Encoded<()> {
                 writer.put(1, &[0])
             }
 
             #[inline]
-            fn read(
-                reader: &mut $crate::cdr::Reader<'_>,
-            ) -> ::core::result::Result<Self, $crate::cdr::Fault> {
+            fn read(reader: &mut $crate::cdr::Reader<'_>) -> $crate::cdr::Decoded<Self> {
                 reader.take(1, 1)?;
                 ::core::result::Result::Ok(Self {})
             }
         }
     };
-    ($name:literal; $type:ident { $($field:ident: $form:ty),+ $(,)? } $($plain:ident)?) => {
-        impl $crate::cdr::Form for $type {
+    ($name:literal; $type:ident { $($field:ident: $form:ty),+ $(,)? } $($plain:ident where $($bounds:tt)*)?) => {
+        impl $crate::cdr::Form for $type $(where $($bounds)*)? {
             type Value = Self;
             const MIN_SIZE: usize = 0usize $(.saturating_add(<$form as $crate::cdr::Form>::MIN_SIZE))+;
 
@@ -45,10 +40,7 @@ macro_rules! cdr_form {
             }
 
             #[inline]
-            fn write(
-                value: &Self,
-                writer: &mut $crate::cdr::Writer<'_>,
-            ) -> ::core::result::Result<(), $crate::cdr::EncodeError> {
+            fn write(value: &Self, writer: &mut $crate::cdr::Writer<'_>) -> $crate::cdr::Encoded<()> {
                 $crate::cdr_form!(@write $($plain)?, $name, ::core::slice::from_ref(value), writer);
                 $(
                     if let ::core::result::Result::Err(error) =
@@ -61,9 +53,7 @@ macro_rules! cdr_form {
             }
 
             #[inline]
-            fn read(
-                reader: &mut $crate::cdr::Reader<'_>,
-            ) -> ::core::result::Result<Self, $crate::cdr::Fault> {
+            fn read(reader: &mut $crate::cdr::Reader<'_>) -> $crate::cdr::Decoded<Self> {
                 $crate::cdr_form!(@read $($plain)?, reader);
                 ::core::result::Result::Ok(Self {
                     $($field: match <$form as $crate::cdr::Form>::read(reader) {
@@ -99,10 +89,7 @@ macro_rules! cdr_form {
     (@bulk , $name:literal) => {};
     (@bulk plain, $name:literal) => {
         #[inline]
-        fn write_all(
-            values: &[Self],
-            writer: &mut $crate::cdr::Writer<'_>,
-        ) -> ::core::result::Result<(), $crate::cdr::EncodeError> {
+        fn write_all(values: &[Self], writer: &mut $crate::cdr::Writer<'_>) -> $crate::cdr::Encoded<()> {
             $crate::cdr_form!(@write plain, $name, values, writer);
             values.iter().try_for_each(|value| <Self as $crate::cdr::Form>::write(value, writer))
         }
@@ -110,7 +97,7 @@ macro_rules! cdr_form {
         fn read_vec(
             reader: &mut $crate::cdr::Reader<'_>,
             len: usize,
-        ) -> ::core::result::Result<::std::vec::Vec<Self>, $crate::cdr::Fault> {
+        ) -> $crate::cdr::Decoded<::std::vec::Vec<Self>> {
             match $crate::read_dense_vec(reader, len) {
                 ::core::option::Option::Some(values) => ::core::result::Result::Ok(values),
                 ::core::option::Option::None => $crate::cdr::read_one_by_one::<Self>(reader, len),

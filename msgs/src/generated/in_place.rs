@@ -111,13 +111,10 @@ macro_rules! in_place {
 
         impl $crate::cdr::View for $type {
             type Ref<'a> = $view<'a>;
-            type List<'a> = $crate::cdr::Seq<'a, Self>;
-            type Array<'a, const N: usize> = $crate::cdr::Seq<'a, Self>;
+            $crate::viewed_one_by_one!();
 
             #[inline]
-            fn view_value<'a>(
-                reader: &mut $crate::cdr::Reader<'a>,
-            ) -> ::core::result::Result<$view<'a>, $crate::cdr::Fault> {
+            fn view_value<'a>(reader: &mut $crate::cdr::Reader<'a>) -> $crate::cdr::Decoded<$view<'a>> {
                 $crate::in_place!(@skip reader, $($field)*);
                 ::core::result::Result::Ok($view {
                     $($field: match <$form as $crate::cdr::View>::view_value(reader) {
@@ -130,43 +127,16 @@ macro_rules! in_place {
                 })
             }
 
-            #[inline]
-            fn view_list<'a>(
-                reader: &mut $crate::cdr::Reader<'a>,
-                len: usize,
-            ) -> ::core::result::Result<$crate::cdr::Seq<'a, Self>, $crate::cdr::Fault> {
-                $crate::cdr::Seq::check(reader, len)
-            }
-
-            #[inline]
-            fn view_array<'a, const N: usize>(
-                reader: &mut $crate::cdr::Reader<'a>,
-            ) -> ::core::result::Result<$crate::cdr::Seq<'a, Self>, $crate::cdr::Fault> {
-                $crate::cdr::Seq::check(reader, N)
-            }
-
             fn own(view: $view<'_>) -> Self {
                 let _ = view;
                 Self { $($field: <$form as $crate::cdr::View>::own(view.$field),)* }
-            }
-
-            fn own_list(view: $crate::cdr::Seq<'_, Self>) -> ::std::vec::Vec<Self> {
-                view.iter().map(Self::own).collect()
-            }
-
-            fn own_array<const N: usize>(view: $crate::cdr::Seq<'_, Self>) -> [Self; N] {
-                let mut values = view.iter();
-                ::core::array::from_fn(|_| values.next().map(Self::own).unwrap_or_default())
             }
         }
 
         impl $crate::cdr::Fill for $type {
             type Sizes<'s> = $sizes;
-            type ListSizes<'s> = &'s [$sizes];
-            type ArraySizes<'s> = &'s [$sizes];
             type Writer<'a, 's> = $writer<'a, 's>;
-            type ListWriter<'a, 's> = $crate::cdr::Elements<'a, 's, Self>;
-            type ArrayWriter<'a, 's, const N: usize> = $crate::cdr::Elements<'a, 's, Self>;
+            $crate::one_by_one!();
 
             $crate::sizes_of_values! {
                 fn sizes_from<'s>(
@@ -184,18 +154,6 @@ macro_rules! in_place {
                     )?)*
                     sizes
                 }
-                fn list_sizes_from<'s>(
-                    values: ::core::option::Option<&[Self]>,
-                    source: &mut impl $crate::cdr::SizeSource<'s>,
-                ) -> Self::ListSizes<'s> {
-                    $crate::cdr::size_list(source, values, Self::sizes_from)
-                }
-                fn array_sizes_from<'s>(
-                    values: ::core::option::Option<&[Self]>,
-                    source: &mut impl $crate::cdr::SizeSource<'s>,
-                ) -> Self::ArraySizes<'s> {
-                    $crate::cdr::size_list(source, values, Self::sizes_from)
-                }
             }
 
             #[inline]
@@ -211,20 +169,10 @@ macro_rules! in_place {
             }
 
             #[inline]
-            fn sized_list_end(sizes: Self::ListSizes<'_>, at: usize) -> usize {
-                $crate::cdr::Elements::<Self>::end(sizes, sizes.len(), at)
-            }
-
-            #[inline]
-            fn sized_array_end(sizes: Self::ArraySizes<'_>, len: usize, at: usize) -> usize {
-                $crate::cdr::Elements::<Self>::end(sizes, len, at)
-            }
-
-            #[inline]
             fn carve<'a, 's: 's>(
                 sizes: $sizes,
                 carver: &mut $crate::cdr::Carver<'a>,
-            ) -> ::core::result::Result<$writer<'a, 's>, $crate::cdr::EncodeError> {
+            ) -> $crate::cdr::Encoded<$writer<'a, 's>> {
                 $crate::in_place!(@byte carver, $($field)*);
                 let _ = sizes;
                 ::core::result::Result::Ok($writer {
@@ -239,24 +187,6 @@ macro_rules! in_place {
                     },)*
                     _body: ::core::marker::PhantomData,
                 })
-            }
-
-            #[inline]
-            fn carve_list<'a, 's: 's>(
-                sizes: &'s [$sizes],
-                bound: usize,
-                carver: &mut $crate::cdr::Carver<'a>,
-            ) -> ::core::result::Result<$crate::cdr::Elements<'a, 's, Self>, $crate::cdr::EncodeError> {
-                carver.length(sizes.len(), bound)?;
-                $crate::cdr::Elements::carve(sizes, sizes.len(), carver)
-            }
-
-            #[inline]
-            fn carve_array<'a, 's: 's, const N: usize>(
-                sizes: &'s [$sizes],
-                carver: &mut $crate::cdr::Carver<'a>,
-            ) -> ::core::result::Result<$crate::cdr::Elements<'a, 's, Self>, $crate::cdr::EncodeError> {
-                $crate::cdr::Elements::carve(sizes, N, carver)
             }
         }
     };

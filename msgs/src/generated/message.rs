@@ -44,9 +44,7 @@ macro_rules! message {
             $crate::message!(@definition $name $definition);
 
             #[inline]
-            fn view(
-                body: $crate::Body<'_>,
-            ) -> ::core::result::Result<$view<'_>, $crate::cdr::DecodeError> {
+            fn view(body: $crate::Body<'_>) -> ::core::result::Result<$view<'_>, $crate::cdr::DecodeError> {
                 $crate::cdr::view_message::<Self>(body)
             }
 

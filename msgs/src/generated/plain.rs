@@ -6,12 +6,8 @@
 #[macro_export]
 macro_rules! plain_struct {
     ($name:literal; $type:ident { $($field:ident: $ty:ty),+ $(,)? }) => {
-        $crate::cdr_form! { $name; $type { $($field: $ty),+ } plain }
-
-        // SAFETY: `repr(C)`, all fields are `Plain`, zeros are a valid value of each, and evaluating `CDR_SIZE` proves that
-        // C places each field where CDR does.
-        unsafe impl $crate::Plain for $type {
-            const CDR_SIZE: usize = {
+        $crate::plain_struct! {
+            @sized $name; $type { $($field: $ty),+ } (::core::option::Option::Some($name)) where [] {
                 let end = 0usize;
                 $(
                     let start = end.next_multiple_of(<$ty as $crate::Plain>::FIRST_ALIGN);
@@ -22,7 +18,23 @@ macro_rules! plain_struct {
                     let end = start + <$ty as $crate::Plain>::CDR_SIZE;
                 )+
                 end
-            };
+            }
+        }
+    };
+    // The derive's too, which proves the layout with words of its own, and says where which field has to be `Plain`.
+    (
+        @sized $name:literal; $type:ident { $($field:ident: $ty:ty),+ } ($type_name:expr)
+        where [$($bounds:tt)*] $size:block
+    ) => {
+        $crate::cdr_form! { $name; $type { $($field: $ty),+ } plain where $($bounds)* }
+
+        // SAFETY: `repr(C)`, all fields are `Plain`, zeros are a valid value of each, and the caller, or else evaluating
+        // `CDR_SIZE`, proves that C places each field where CDR does.
+        unsafe impl $crate::Plain for $type
+        where
+            $($bounds)*
+        {
+            const CDR_SIZE: usize = $size;
             const FIRST_ALIGN: usize = {
                 let aligns = [$(<$ty as $crate::Plain>::FIRST_ALIGN),+];
                 aligns[0]
@@ -30,7 +42,7 @@ macro_rules! plain_struct {
             const CONTENT_SIZE: usize = 0 $(+ <$ty as $crate::Plain>::CONTENT_SIZE)+;
             const SHAPE: $crate::Shape = $crate::Shape::Struct(&$crate::StructShape {
                 ident: ::core::stringify!($type),
-                type_name: ::core::option::Option::Some($name),
+                type_name: $type_name,
                 fields: &[$((::core::stringify!($field), &<$ty as $crate::Plain>::SHAPE)),+],
             });
             const ALWAYS_VALID: bool = true $(&& <$ty as $crate::Plain>::ALWAYS_VALID)+;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A new message of every input.
 
-use crate::counters::{InputCounters, JoinCounters};
+use crate::counters::JoinCounters;
 use crate::source::Source;
 use crate::{JoinError, check_room, for_each_tuple};
 use futures::{Stream, StreamExt};
@@ -70,9 +70,9 @@ impl<S: AllOfInputs> Stream for AllOf<S> {
                 }
                 let slot = S::slot(slots, input);
                 match slot.poll_arrival(context, &mut |dropped| {
-                    counters.of(input, InputCounters::received_counter);
+                    counters.of(input, |c| &c.received);
                     if dropped {
-                        counters.of(input, InputCounters::dropped_counter);
+                        counters.of(input, |c| &c.dropped);
                     }
                 }) {
                     Poll::Ready(Some(())) => {

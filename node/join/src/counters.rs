@@ -13,10 +13,10 @@ pub struct JoinCounters {
 /// Counters of one input's items.
 #[derive(Debug, Default)]
 pub struct InputCounters {
-    received: AtomicU64,
-    dropped: AtomicU64,
-    refused: AtomicU64,
-    too_close: AtomicU64,
+    pub(crate) received: AtomicU64,
+    pub(crate) dropped: AtomicU64,
+    pub(crate) refused: AtomicU64,
+    pub(crate) too_close: AtomicU64,
 }
 
 impl JoinCounters {
@@ -76,21 +76,5 @@ impl InputCounters {
     /// states: a set may have been delivered although a better one was possible.
     pub fn too_close(&self) -> u64 {
         self.too_close.load(Relaxed)
-    }
-
-    pub(crate) fn received_counter(&self) -> &AtomicU64 {
-        &self.received
-    }
-
-    pub(crate) fn dropped_counter(&self) -> &AtomicU64 {
-        &self.dropped
-    }
-
-    pub(crate) fn refused_counter(&self) -> &AtomicU64 {
-        &self.refused
-    }
-
-    pub(crate) fn too_close_counter(&self) -> &AtomicU64 {
-        &self.too_close
     }
 }

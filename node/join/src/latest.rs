@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Each message of one stream, with the newest messages of other streams.
 
-use crate::counters::{InputCounters, JoinCounters};
+use crate::counters::JoinCounters;
 use crate::source::{Room, Source};
 use crate::{JoinError, check_room, for_each_tuple};
 use futures::{Stream, StreamExt};
@@ -175,7 +175,7 @@ impl<S: Source> Input<S> {
 
     /// Keeps a message as the newest; `false`: all places are read, so that it is dropped.
     fn put(&mut self, item: S::Item, input: usize, counters: &JoinCounters) -> bool {
-        counters.of(input, InputCounters::received_counter);
+        counters.of(input, |c| &c.received);
         // A place that nobody reads, beginning with that of the newest; what else nobody reads is given back.
         let mut item = Some(item);
         let (newest, was_given) = (self.newest, std::mem::replace(&mut self.was_given, false));
@@ -193,7 +193,7 @@ impl<S: Source> Input<S> {
             self.was_given = was_given;
         }
         if !is_kept || !was_given {
-            counters.of(input, InputCounters::dropped_counter);
+            counters.of(input, |c| &c.dropped);
         }
         is_kept
     }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Messages of several streams whose stamps belong together.
 
-use crate::counters::{InputCounters, JoinCounters};
+use crate::counters::JoinCounters;
 use crate::policy::{Arrival, Policy};
 use crate::source::Stamped;
 use crate::{JoinError, check_room, for_each_tuple};
@@ -97,14 +97,14 @@ impl<P: Policy, S: SynchronizerInputs> Synchronizer<P, S> {
 
     /// Puts the message that has come from `input` where it belongs.
     fn put(&mut self, input: usize, stamp_ns: i64) {
-        self.counters.of(input, InputCounters::received_counter);
+        self.counters.of(input, |c| &c.received);
         if stamp_ns < self.newest_ns[input].saturating_sub(self.time_jump_ns) {
             self.counters.reset();
             self.newest_ns = [i64::MIN; crate::MAX_INPUTS];
             self.policy.clear();
             for i in 0..S::COUNT {
                 while S::queue(&mut self.queues, i).drop_front() {
-                    self.counters.of(i, InputCounters::dropped_counter);
+                    self.counters.of(i, |c| &c.dropped);
                 }
             }
         }
@@ -114,11 +114,11 @@ impl<P: Policy, S: SynchronizerInputs> Synchronizer<P, S> {
         match arrival {
             Arrival::Wait(place) => queue.keep(place),
             Arrival::WaitTooClose(place) => {
-                self.counters.of(input, InputCounters::too_close_counter);
+                self.counters.of(input, |c| &c.too_close);
                 queue.keep(place);
             }
             Arrival::Refuse => {
-                self.counters.of(input, InputCounters::refused_counter);
+                self.counters.of(input, |c| &c.refused);
                 queue.refuse();
             }
         }
@@ -129,7 +129,7 @@ impl<P: Policy, S: SynchronizerInputs> Synchronizer<P, S> {
         let (queues, counters) = (&mut self.queues, &*self.counters);
         let mut drop = |input| {
             S::queue(queues, input).drop_front();
-            counters.of(input, InputCounters::dropped_counter);
+            counters.of(input, |c| &c.dropped);
         };
         if !self.policy.decide(&mut drop) {
             return None;

@@ -12,7 +12,6 @@
 //!        +----------> CANCELED
 //! ```
 
-use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI8, Ordering};
 
@@ -93,19 +92,10 @@ impl GoalStatus {
     }
 }
 
-impl fmt::Display for GoalStatus {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            GoalStatus::Unknown => "unknown",
-            GoalStatus::Accepted => "accepted",
-            GoalStatus::Executing => "executing",
-            GoalStatus::Canceling => "canceling",
-            GoalStatus::Succeeded => "succeeded",
-            GoalStatus::Canceled => "canceled",
-            GoalStatus::Aborted => "aborted",
-        })
-    }
-}
+tautline_rt::names!(GoalStatus: Display {
+    Unknown: "unknown", Accepted: "accepted", Executing: "executing", Canceling: "canceling",
+    Succeeded: "succeeded", Canceled: "canceled", Aborted: "aborted",
+});
 
 #[cfg(test)]
 mod tests {

@@ -32,21 +32,13 @@ pub enum State {
     ErrorProcessing = 15,
 }
 
-impl State {
-    /// Every state.
-    pub const ALL: [State; 10] = [
-        State::Unconfigured,
-        State::Inactive,
-        State::Active,
-        State::Finalized,
-        State::Configuring,
-        State::CleaningUp,
-        State::ShuttingDown,
-        State::Activating,
-        State::Deactivating,
-        State::ErrorProcessing,
-    ];
+tautline_rt::names!(State: pub const ALL: [State; 10]; pub const fn label(self) -> &'static str {
+    Unconfigured: "unconfigured", Inactive: "inactive", Active: "active", Finalized: "finalized",
+    Configuring: "configuring", CleaningUp: "cleaningup", ShuttingDown: "shuttingdown",
+    Activating: "activating", Deactivating: "deactivating", ErrorProcessing: "errorprocessing",
+});
 
+impl State {
     /// The number in `lifecycle_msgs/msg/State`.
     pub fn id(self) -> u8 {
         self as u8
@@ -55,22 +47,6 @@ impl State {
     /// The state with this number.
     pub fn from_id(id: u8) -> Option<State> {
         State::ALL.into_iter().find(|state| state.id() == id)
-    }
-
-    /// ROS 2's name.
-    pub fn label(self) -> &'static str {
-        match self {
-            State::Unconfigured => "unconfigured",
-            State::Inactive => "inactive",
-            State::Active => "active",
-            State::Finalized => "finalized",
-            State::Configuring => "configuring",
-            State::CleaningUp => "cleaningup",
-            State::ShuttingDown => "shuttingdown",
-            State::Activating => "activating",
-            State::Deactivating => "deactivating",
-            State::ErrorProcessing => "errorprocessing",
-        }
     }
 }
 

@@ -103,16 +103,14 @@ impl DerefMut for ManagedNode {
 
 /// Why a managed node did not start a transition.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 pub enum LifecycleError {
     /// The transition does not start in the node's state.
     #[error(transparent)]
     InvalidTransition(#[from] InvalidTransition),
     /// The callback of another transition is running.
     #[error("the node is in state '{state}', a transition state: try again when its callback has returned")]
-    Busy {
-        /// The transition state, which lasts as long as the callback.
-        state: State,
-    },
+    Busy { state: State },
 }
 
 /// The result of a transition.
@@ -207,7 +205,7 @@ impl LifecycleNode {
     ///
     /// # Errors
     /// [`LifecycleError`]; the state does not change.
-    pub fn configure(&self) -> std::result::Result<Transitioned, LifecycleError> {
+    pub fn configure(&self) -> Result<Transitioned, LifecycleError> {
         self.change_state_by_label("configure")
     }
 
@@ -215,7 +213,7 @@ impl LifecycleNode {
     ///
     /// # Errors
     /// As [`configure`](Self::configure).
-    pub fn activate(&self) -> std::result::Result<Transitioned, LifecycleError> {
+    pub fn activate(&self) -> Result<Transitioned, LifecycleError> {
         self.change_state_by_label("activate")
     }
 
@@ -223,7 +221,7 @@ impl LifecycleNode {
     ///
     /// # Errors
     /// As [`configure`](Self::configure).
-    pub fn deactivate(&self) -> std::result::Result<Transitioned, LifecycleError> {
+    pub fn deactivate(&self) -> Result<Transitioned, LifecycleError> {
         self.change_state_by_label("deactivate")
     }
 
@@ -231,7 +229,7 @@ impl LifecycleNode {
     ///
     /// # Errors
     /// As [`configure`](Self::configure).
-    pub fn cleanup(&self) -> std::result::Result<Transitioned, LifecycleError> {
+    pub fn cleanup(&self) -> Result<Transitioned, LifecycleError> {
         self.change_state_by_label("cleanup")
     }
 
@@ -239,7 +237,7 @@ impl LifecycleNode {
     ///
     /// # Errors
     /// As [`configure`](Self::configure).
-    pub fn shutdown(&self) -> std::result::Result<Transitioned, LifecycleError> {
+    pub fn shutdown(&self) -> Result<Transitioned, LifecycleError> {
         self.change_state_by_label("shutdown")
     }
 
@@ -247,7 +245,7 @@ impl LifecycleNode {
     ///
     /// # Errors
     /// As [`configure`](Self::configure).
-    pub fn change_state(&self, id: u8) -> std::result::Result<Transitioned, LifecycleError> {
+    pub fn change_state(&self, id: u8) -> Result<Transitioned, LifecycleError> {
         let mut inner = self.try_lock()?;
         let transition = inner.machine.begin(id)?;
         Ok(inner.run(transition, &self.shared.state))
@@ -257,7 +255,7 @@ impl LifecycleNode {
     ///
     /// # Errors
     /// As [`configure`](Self::configure).
-    pub fn change_state_by_label(&self, label: &str) -> std::result::Result<Transitioned, LifecycleError> {
+    pub fn change_state_by_label(&self, label: &str) -> Result<Transitioned, LifecycleError> {
         let mut inner = self.try_lock()?;
         let transition = inner.machine.begin_by_label(label)?;
         Ok(inner.run(transition, &self.shared.state))
@@ -272,14 +270,11 @@ impl LifecycleNode {
     ///
     /// # Errors
     /// [`LifecycleError::Busy`].
-    pub fn with_node<R>(
-        &self,
-        action: impl FnOnce(&mut ManagedNode) -> R,
-    ) -> std::result::Result<R, LifecycleError> {
+    pub fn with_node<R>(&self, action: impl FnOnce(&mut ManagedNode) -> R) -> Result<R, LifecycleError> {
         Ok(action(&mut self.try_lock()?.node))
     }
 
-    fn try_lock(&self) -> std::result::Result<MutexGuard<'_, Inner>, LifecycleError> {
+    fn try_lock(&self) -> Result<MutexGuard<'_, Inner>, LifecycleError> {
         match self.shared.inner.try_lock() {
             Ok(inner) => Ok(inner),
             Err(TryLockError::Poisoned(poisoned)) => Ok(poisoned.into_inner()),

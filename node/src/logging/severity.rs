@@ -19,30 +19,13 @@ pub enum LogSeverity {
     Fatal = 50,
 }
 
-impl LogSeverity {
-    const ALL: [LogSeverity; 6] = [
-        LogSeverity::Unset,
-        LogSeverity::Debug,
-        LogSeverity::Info,
-        LogSeverity::Warn,
-        LogSeverity::Error,
-        LogSeverity::Fatal,
-    ];
+tautline_rt::names!(LogSeverity: const ALL: [LogSeverity; 6]; pub const fn name(self) -> &'static str {
+    Unset: "UNSET", Debug: "DEBUG", Info: "INFO", Warn: "WARN", Error: "ERROR", Fatal: "FATAL",
+});
 
+impl LogSeverity {
     pub(super) fn of_number(number: u32) -> Option<LogSeverity> {
         Self::ALL.into_iter().find(|severity| *severity as u32 == number)
-    }
-
-    /// As in a line: `INFO`.
-    pub const fn name(self) -> &'static str {
-        match self {
-            LogSeverity::Unset => "UNSET",
-            LogSeverity::Debug => "DEBUG",
-            LogSeverity::Info => "INFO",
-            LogSeverity::Warn => "WARN",
-            LogSeverity::Error => "ERROR",
-            LogSeverity::Fatal => "FATAL",
-        }
     }
 }
 

@@ -140,7 +140,7 @@ fn does_not_fit(value: &ParameterValue, reason: impl Display) -> crate::Error {
         .into()
 }
 
-fn same<T: Clone>(value: &T) -> std::result::Result<T, std::convert::Infallible> {
+fn same<T: Clone>(value: &T) -> Result<T, std::convert::Infallible> {
     Ok(value.clone())
 }
 
@@ -148,7 +148,7 @@ fn to_integer<T: Into<i64> + Copy>(value: &T) -> i64 {
     (*value).into()
 }
 
-fn from_integer<T: TryFrom<i64>>(value: &i64) -> std::result::Result<T, T::Error> {
+fn from_integer<T: TryFrom<i64>>(value: &i64) -> Result<T, T::Error> {
     T::try_from(*value)
 }
 

@@ -40,7 +40,7 @@ struct ParameterStore {
     changing: Mutex<Option<ThreadId>>,
 }
 
-type Check = Arc<dyn Fn(&[(String, ParameterValue)]) -> std::result::Result<(), String> + Send + Sync>;
+type Check = Arc<dyn Fn(&[(String, ParameterValue)]) -> Result<(), String> + Send + Sync>;
 type SharedStruct = Arc<Mutex<dyn RosParams + Send>>;
 
 #[derive(Default)]
@@ -349,7 +349,7 @@ impl Parameters {
     /// that sets the parameters; nothing is set then.
     pub fn on_set(
         &self,
-        check: impl Fn(&[(String, ParameterValue)]) -> std::result::Result<(), String> + Send + Sync + 'static,
+        check: impl Fn(&[(String, ParameterValue)]) -> Result<(), String> + Send + Sync + 'static,
     ) -> OnSetParameters {
         let mut checks = lock(&self.shared.checks);
         let number = checks.next;
@@ -402,7 +402,7 @@ impl Parameters {
         Ok(lock(&self.shared.hooks))
     }
 
-    fn run_checks(&self, values: &[(String, ParameterValue)]) -> std::result::Result<(), ParameterError> {
+    fn run_checks(&self, values: &[(String, ParameterValue)]) -> Result<(), ParameterError> {
         let checks: Vec<Check> = {
             let checks = lock(&self.shared.checks);
             checks.list.iter().map(|(_, check)| check.clone()).collect()

@@ -40,23 +40,11 @@ pub enum ParameterType {
     StringArray = 9,
 }
 
-impl ParameterType {
-    /// The name as in messages: `integer array`.
-    pub const fn name(self) -> &'static str {
-        match self {
-            ParameterType::NotSet => "not set",
-            ParameterType::Bool => "boolean",
-            ParameterType::Integer => "integer",
-            ParameterType::Double => "double",
-            ParameterType::String => "string",
-            ParameterType::ByteArray => "byte array",
-            ParameterType::BoolArray => "boolean array",
-            ParameterType::IntegerArray => "integer array",
-            ParameterType::DoubleArray => "double array",
-            ParameterType::StringArray => "string array",
-        }
-    }
-}
+tautline_rt::names!(ParameterType: pub const fn name(self) -> &'static str {
+    NotSet: "not set", Bool: "boolean", Integer: "integer", Double: "double", String: "string",
+    ByteArray: "byte array", BoolArray: "boolean array", IntegerArray: "integer array",
+    DoubleArray: "double array", StringArray: "string array",
+});
 
 impl ParameterValue {
     /// Its type.
@@ -80,29 +68,24 @@ impl ParameterValue {
         self.parameter_type().name()
     }
 
+    fn is_no(&self, expected: ParameterType) -> WrongParameterType {
+        let (expected_type_name, actual_type_name) = (expected.name(), self.type_name());
+        WrongParameterType { expected_type_name, actual_type_name }
+    }
+
     /// As `wanted`, if it is an array of nothing, whose type YAML does not say.
-    pub(crate) fn of_type(self, wanted: ParameterType) -> ParameterValue {
+    pub(crate) fn of_type(self, wanted: ParameterType) -> Self {
         match (self, wanted) {
-            (ParameterValue::StringArray(empty), _) if !empty.is_empty() => {
-                ParameterValue::StringArray(empty)
-            }
-            (ParameterValue::StringArray(_), ParameterType::BoolArray) => {
-                ParameterValue::BoolArray(Vec::new())
-            }
-            (ParameterValue::StringArray(_), ParameterType::ByteArray) => {
-                ParameterValue::ByteArray(Vec::new())
-            }
-            (ParameterValue::StringArray(_), ParameterType::IntegerArray) => {
-                ParameterValue::IntegerArray(Vec::new())
-            }
-            (ParameterValue::StringArray(_), ParameterType::DoubleArray) => {
-                ParameterValue::DoubleArray(Vec::new())
-            }
+            (Self::StringArray(empty), _) if !empty.is_empty() => Self::StringArray(empty),
+            (Self::StringArray(_), ParameterType::BoolArray) => Self::BoolArray(Vec::new()),
+            (Self::StringArray(_), ParameterType::ByteArray) => Self::ByteArray(Vec::new()),
+            (Self::StringArray(_), ParameterType::IntegerArray) => Self::IntegerArray(Vec::new()),
+            (Self::StringArray(_), ParameterType::DoubleArray) => Self::DoubleArray(Vec::new()),
             // A sequence of small integers is how YAML writes bytes.
-            (ParameterValue::IntegerArray(integers), ParameterType::ByteArray) => {
+            (Self::IntegerArray(integers), ParameterType::ByteArray) => {
                 match integers.iter().map(|integer| u8::try_from(*integer)).collect() {
-                    Ok(bytes) => ParameterValue::ByteArray(bytes),
-                    Err(_) => ParameterValue::IntegerArray(integers),
+                    Ok(bytes) => Self::ByteArray(bytes),
+                    Err(_) => Self::IntegerArray(integers),
                 }
             }
             (value, _) => value,
@@ -188,10 +171,7 @@ impl TryFrom<ParameterValue> for () {
     fn try_from(value: ParameterValue) -> Result<(), WrongParameterType> {
         match value {
             ParameterValue::NotSet => Ok(()),
-            other => Err(WrongParameterType {
-                expected_type_name: ParameterType::NotSet.name(),
-                actual_type_name: other.type_name(),
-            }),
+            other => Err(other.is_no(ParameterType::NotSet)),
         }
     }
 }
@@ -218,10 +198,7 @@ macro_rules! variant {
             fn try_from(value: ParameterValue) -> Result<$type, WrongParameterType> {
                 match value {
                     ParameterValue::$variant(value) => Ok(value),
-                    other => Err(WrongParameterType {
-                        expected_type_name: ParameterType::$variant.name(),
-                        actual_type_name: other.type_name(),
-                    }),
+                    other => Err(other.is_no(ParameterType::$variant)),
                 }
             }
         }

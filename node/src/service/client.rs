@@ -96,7 +96,7 @@ impl<T: Service> Client<T> {
     ///
     /// # Errors
     /// [`ServiceError::Loan`].
-    pub fn loan(&self) -> std::result::Result<Loan<'_, T::Request>, ServiceError>
+    pub fn loan(&self) -> Result<Loan<'_, T::Request>, ServiceError>
     where
         T::Request: Plain,
     {
@@ -113,7 +113,7 @@ impl<T: Service> Client<T> {
     pub fn loan_with<'s>(
         &self,
         sizes: <T::Request as Fill>::Sizes<'s>,
-    ) -> std::result::Result<Unwritten<'_, 's, T::Request>, ServiceError>
+    ) -> Result<Unwritten<'_, 's, T::Request>, ServiceError>
     where
         T::Request: Fill,
     {
@@ -134,7 +134,7 @@ impl<T: Service> Client<T> {
     pub fn send<'c>(
         &'c self,
         request: Loan<'c, T::Request>,
-    ) -> std::result::Result<PendingResponse<T>, SendError<Loan<'c, T::Request>, ServiceError>> {
+    ) -> Result<PendingResponse<T>, SendError<Loan<'c, T::Request>, ServiceError>> {
         self.inner.send(request)
     }
 
@@ -148,7 +148,7 @@ impl<T: Service> Client<T> {
     pub fn request_with(
         &self,
         write: impl FnOnce(&mut T::Request),
-    ) -> std::result::Result<PendingResponse<T>, ServiceError>
+    ) -> Result<PendingResponse<T>, ServiceError>
     where
         T::Request: Plain,
     {

@@ -70,7 +70,7 @@ impl<T: ServiceCodec> Server<T> {
     ///
     /// # Errors
     /// As [`loan`](Self::loan) and [`Response::send`]; codecs other than Rust types have their own errors.
-    pub fn respond(&self, request: &Request<T>, response: &T::Response) -> std::result::Result<(), T::Error> {
+    pub fn respond(&self, request: &Request<T>, response: &T::Response) -> Result<(), T::Error> {
         self.server().respond(request.id(), response)
     }
 
@@ -101,7 +101,7 @@ impl<T: Service> Server<T> {
     ///
     /// # Errors
     /// [`ServiceError::ClientGone`], [`ServiceError::Loan`].
-    pub fn loan(&self, request: &Request<T>) -> std::result::Result<Response<'_, T>, ServiceError>
+    pub fn loan(&self, request: &Request<T>) -> Result<Response<'_, T>, ServiceError>
     where
         T::Response: tautline_msgs::Plain,
     {
@@ -120,7 +120,7 @@ impl<T: Service> Server<T> {
         &self,
         request: &Request<T>,
         sizes: <T::Response as Fill>::Sizes<'z>,
-    ) -> std::result::Result<UnwrittenResponse<'_, 'z, T>, ServiceError>
+    ) -> Result<UnwrittenResponse<'_, 'z, T>, ServiceError>
     where
         T::Response: Fill,
     {
@@ -145,7 +145,7 @@ impl<T: ServiceCodec> SampleSource for tautline_transport::Server<T> {
         self.requests()
     }
 
-    fn try_take_valid(&mut self) -> std::result::Result<Option<Request<T>>, TakeError> {
+    fn try_take_valid(&mut self) -> Result<Option<Request<T>>, TakeError> {
         self.try_take()
     }
 

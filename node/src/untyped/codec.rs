@@ -22,7 +22,7 @@ impl Decode for Json {
     type View<'a> = &'a [u8];
     type Owned = Result<serde_json::Value>;
 
-    fn view(body: Body<'_>) -> std::result::Result<&[u8], DecodeError> {
+    fn view(body: Body<'_>) -> Result<&[u8], DecodeError> {
         Ok(body.bytes())
     }
 
@@ -43,9 +43,9 @@ impl Codec for Json {
     fn encode_into<L: DerefMut<Target = [u8]>, E>(
         &self,
         definition: &Arc<Schema>,
-        loan: impl FnOnce(usize) -> std::result::Result<L, E>,
+        loan: impl FnOnce(usize) -> Result<L, E>,
         invalid: impl FnOnce(MessageError) -> E,
-    ) -> std::result::Result<L, E> {
+    ) -> Result<L, E> {
         let body = DynamicMessage::from_json_value(definition, &self.0).map_err(invalid)?.to_body();
         let mut loan = loan(body.len())?;
         loan.copy_from_slice(&body);
@@ -87,7 +87,7 @@ impl Decode for Cdr {
     type View<'a> = &'a [u8];
     type Owned = Vec<u8>;
 
-    fn view(body: Body<'_>) -> std::result::Result<&[u8], DecodeError> {
+    fn view(body: Body<'_>) -> Result<&[u8], DecodeError> {
         Ok(body.bytes())
     }
 

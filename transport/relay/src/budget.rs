@@ -61,15 +61,14 @@ struct Meter {
 impl Meter {
     fn new(budget: Budget, spent: ThreadTime) -> Self {
         let budget_ns = WINDOW.as_nanos() as u64 * u64::from(budget.percent) / 100;
-        let (calm, asked) = (0, CALM_WINDOWS);
         Meter {
             budget_ns,
             looks: 0,
             at_start: spent,
             is_demoted: false,
             since_promotion: u32::MAX,
-            calm,
-            asked,
+            calm: 0,
+            asked: CALM_WINDOWS,
         }
     }
 

@@ -50,11 +50,13 @@ pub struct NodeInfo {
 }
 
 /// The kind of a topic's endpoint.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum EndpointKind {
     /// It publishes.
+    #[serde(rename = "pub")]
     Publisher,
     /// It subscribes.
+    #[serde(rename = "sub")]
     Subscription,
 }
 

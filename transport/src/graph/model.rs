@@ -135,7 +135,7 @@ impl ParticipantRecord {
             }));
         }
         if let Some(port) = self.ports.get(&number).filter(|port| !self.is_relay && !port.observer) {
-            let (gid, kind) = (Gid::of(id, number), EndpointKind::from(port.kind));
+            let (gid, kind) = (Gid::of(id, number), port.kind);
             let node = port.node.and_then(|node| self.nodes.get(&node)).map(|node| node.name.clone());
             if let Some(service) = service_of(&port.topic) {
                 // Who publishes requests asks.

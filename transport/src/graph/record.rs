@@ -2,7 +2,8 @@
 //! The content of a record's entries, as JSON. Content read from another participant's record is untrusted: each value is
 //! checked before it is used.
 
-use crate::graph::entities::{EndpointKind, NodeName, ServiceEndpoint, ServiceKind, TopicEndpoint};
+pub(crate) use crate::graph::entities::EndpointKind as PortKind;
+use crate::graph::entities::{NodeName, ServiceEndpoint, ServiceKind, TopicEndpoint};
 use crate::graph::origin::Origin;
 use crate::graph::topic_type::TopicType;
 use crate::memory::connection::Shape;
@@ -39,14 +40,6 @@ pub(crate) struct PortRecord {
     /// Of the end of a service that carries responses: the end of the same client or server that carries requests.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub(crate) partner: Option<u64>,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) enum PortKind {
-    #[serde(rename = "pub")]
-    Publisher,
-    #[serde(rename = "sub")]
-    Subscription,
 }
 
 fn is_false(value: &bool) -> bool {
@@ -207,7 +200,7 @@ impl RemotePortRecord {
     pub(crate) fn new(node: u64, end: &TopicEndpoint) -> Self {
         RemotePortRecord {
             node,
-            kind: end.kind.into(),
+            kind: end.kind,
             topic: end.topic.clone(),
             type_name: end.topic_type.name.to_string(),
             hash: end.topic_type.hash.as_ref().map(ToString::to_string),
@@ -243,7 +236,7 @@ impl RemotePortRecord {
         let mut topic_type = TopicType::new(self.type_name.clone());
         topic_type.hash = self.hash.clone().map(Into::into);
         TopicEndpoint {
-            kind: self.kind.into(),
+            kind: self.kind,
             topic: self.topic.clone(),
             topic_type,
             gid: self.gid,
@@ -301,24 +294,6 @@ impl RemoteServiceRecord {
             is_remote: true,
             origin: self.origin.clone(),
             teller,
-        }
-    }
-}
-
-impl From<EndpointKind> for PortKind {
-    fn from(kind: EndpointKind) -> Self {
-        match kind {
-            EndpointKind::Publisher => PortKind::Publisher,
-            EndpointKind::Subscription => PortKind::Subscription,
-        }
-    }
-}
-
-impl From<PortKind> for EndpointKind {
-    fn from(kind: PortKind) -> Self {
-        match kind {
-            PortKind::Publisher => EndpointKind::Publisher,
-            PortKind::Subscription => EndpointKind::Subscription,
         }
     }
 }
@@ -410,7 +385,7 @@ mod tests {
         let told = NodeRecord { name: node(), enclave: "/front/left".into(), origin: Some(origin()) };
         assert_eq!(NodeRecord::parse(&to_body(&told)), Some(told));
         let end = TopicEndpoint {
-            kind: EndpointKind::Publisher,
+            kind: PortKind::Publisher,
             topic: "/x".into(),
             topic_type: TopicType::new("a/msg/B").with_hash(format!("RIHS01_{:064x}", 7)),
             gid: Gid([9; 16]),

@@ -2,7 +2,6 @@
 //! Whether a publisher's offered QoS is compatible with a subscription's requested QoS: ROS 2's rules.
 
 use crate::qos::{Durability, Liveliness, Qos, Reliability};
-use std::fmt;
 use std::time::Duration;
 
 /// A part of the quality of service that a publisher and a subscription must agree on.
@@ -20,17 +19,10 @@ pub enum QosPolicyKind {
     LivelinessLeaseDuration,
 }
 
-impl fmt::Display for QosPolicyKind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            QosPolicyKind::Reliability => "reliability",
-            QosPolicyKind::Durability => "durability",
-            QosPolicyKind::Deadline => "deadline",
-            QosPolicyKind::Liveliness => "liveliness",
-            QosPolicyKind::LivelinessLeaseDuration => "liveliness_lease_duration",
-        })
-    }
-}
+tautline_rt::names!(QosPolicyKind: Display {
+    Reliability: "reliability", Durability: "durability", Deadline: "deadline", Liveliness: "liveliness",
+    LivelinessLeaseDuration: "liveliness_lease_duration",
+});
 
 impl Qos {
     /// The first policy in which a publisher with this quality of service is incompatible with a subscription that

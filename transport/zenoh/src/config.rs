@@ -17,17 +17,11 @@ pub enum Mode {
     Router,
 }
 
-impl Mode {
-    fn as_str(self) -> &'static str {
-        match self {
-            Mode::Peer => "peer",
-            Mode::Client => "client",
-            Mode::Router => "router",
-        }
-    }
+tautline_rt::names!(Mode: const ALL: [Mode; 3]; const fn as_str(self) -> &'static str { Peer: "peer", Client: "client", Router: "router" });
 
+impl Mode {
     fn named(name: &str) -> Option<Mode> {
-        [Mode::Peer, Mode::Client, Mode::Router].into_iter().find(|mode| mode.as_str() == name)
+        Mode::ALL.into_iter().find(|mode| mode.as_str() == name)
     }
 }
 
@@ -61,38 +55,20 @@ pub struct SessionConfig {
 
 /// Why there is no configuration.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 #[non_exhaustive]
 pub enum ConfigError {
     /// A file that cannot be read or is invalid.
     #[error("{} (from {origin}) is not a valid Zenoh configuration: {reason}", path.display())]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// The option or variable that names it.
-        origin: &'static str,
-        /// Zenoh's error.
-        reason: String,
-    },
+    File { path: PathBuf, origin: &'static str, reason: String },
     /// A part of `ZENOH_CONFIG_OVERRIDE`.
     #[error(
         "ZENOH_CONFIG_OVERRIDE: '{part}' cannot be set: {reason}; write key/of/setting=json5 and ';' between settings"
     )]
-    Override {
-        /// The part.
-        part: String,
-        /// The reason.
-        reason: String,
-    },
+    Override { part: String, reason: String },
     /// An endpoint or another option that Zenoh rejects.
     #[error("{option} {value}: {reason}; write endpoints like tcp/192.168.1.2:7447")]
-    Option {
-        /// The option.
-        option: &'static str,
-        /// Its value.
-        value: String,
-        /// Zenoh's error.
-        reason: String,
-    },
+    Option { option: &'static str, value: String, reason: String },
 }
 
 impl Network {

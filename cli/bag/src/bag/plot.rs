@@ -139,7 +139,7 @@ pub fn run(args: &PlotArgs, is_json: bool) -> Outcome {
             size: (args.width.into(), args.height.into()),
             series: series.collect(),
         };
-        let svg = picture.draw().map_err(|error| Failure::unusable(error.to_string()))?;
+        let svg = picture.draw()?;
         match &args.output {
             None => taut_cli::print::stdout().write_all(svg.as_bytes())?,
             Some(path) => {

@@ -25,15 +25,11 @@ pub enum Part {
     Response,
 }
 
-impl Part {
-    pub fn name(self) -> &'static str {
-        match self {
-            Part::Message => "messages",
-            Part::Request => "requests",
-            Part::Response => "responses",
-        }
-    }
+tautline_rt::names!(Part: pub const fn name(self) -> &'static str {
+    Message: "messages", Request: "requests", Response: "responses",
+});
 
+impl Part {
     /// The bytes in front of the message.
     ///
     /// # Real-time

@@ -4,7 +4,8 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::{DEADLINE, PERCENTILE, PlotError};
+use super::{DEADLINE, PERCENTILE};
+use crate::verb::{Failure, Outcome};
 
 /// The drawing area in pixels, with the few shapes the picture is made of.
 pub struct Canvas<'a>(DrawingArea<SVGBackend<'a>, Shift>);
@@ -15,39 +16,33 @@ impl<'a> Canvas<'a> {
     }
 
     /// Completes the document.
-    pub fn finish(self) -> Result<(), PlotError> {
+    pub fn finish(self) -> Outcome {
         self.0.present().map_err(drawing)
     }
 
-    pub fn rectangle(&self, from: (i32, i32), to: (i32, i32), colour: RGBColor) -> Result<(), PlotError> {
+    pub fn rectangle(&self, from: (i32, i32), to: (i32, i32), colour: RGBColor) -> Outcome {
         self.0.draw(&Rectangle::new([from, to], colour.filled())).map_err(drawing)
     }
 
-    pub fn line(
-        &self,
-        from: (i32, i32),
-        to: (i32, i32),
-        colour: RGBColor,
-        width: u32,
-    ) -> Result<(), PlotError> {
+    pub fn line(&self, from: (i32, i32), to: (i32, i32), colour: RGBColor, width: u32) -> Outcome {
         self.0.draw(&PathElement::new([from, to], colour.stroke_width(width))).map_err(drawing)
     }
 
-    pub fn path(&self, points: &[(i32, i32)], colour: RGBColor, width: u32) -> Result<(), PlotError> {
+    pub fn path(&self, points: &[(i32, i32)], colour: RGBColor, width: u32) -> Outcome {
         self.0.draw(&PathElement::new(points, colour.stroke_width(width))).map_err(drawing)
     }
 
     /// The deadline: a vertical, dashed line.
-    pub fn dashed(&self, x: i32, top: i32, bottom: i32) -> Result<(), PlotError> {
+    pub fn dashed(&self, x: i32, top: i32, bottom: i32) -> Outcome {
         (top..bottom).step_by(8).try_for_each(|y| self.line((x, y), (x, (y + 5).min(bottom)), DEADLINE, 2))
     }
 
     /// The p99: a triangle that points down.
-    pub fn mark(&self, x: i32, y: i32) -> Result<(), PlotError> {
+    pub fn mark(&self, x: i32, y: i32) -> Outcome {
         self.0.draw(&Polygon::new([(x - 5, y), (x + 5, y), (x, y + 8)], PERCENTILE)).map_err(drawing)
     }
 
-    pub fn text(&self, text: &str, at: (i32, i32), words: Words) -> Result<(), PlotError> {
+    pub fn text(&self, text: &str, at: (i32, i32), words: Words) -> Outcome {
         // The SVG backend divides sizes by 1.24.
         let style = if words.bold { FontStyle::Bold } else { FontStyle::Normal };
         let font = FontDesc::new(FontFamily::SansSerif, f64::from(words.pixels) * 1.24, style);
@@ -79,6 +74,6 @@ impl Words {
     }
 }
 
-fn drawing(error: impl std::fmt::Display) -> PlotError {
-    PlotError::Drawing(error.to_string())
+fn drawing(error: impl std::fmt::Display) -> Failure {
+    Failure::unusable(format!("the picture could not be drawn: {error}"))
 }

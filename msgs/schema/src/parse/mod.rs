@@ -23,7 +23,6 @@ pub(crate) use literal::parse_python_default;
 /// Parses a `.msg` file's text. `file` is what errors call it.
 ///
 /// # Errors
-///
 /// [`SchemaError::Definition`] with the place of the first fault.
 pub fn parse_message(name: &TypeName, file: &str, text: &str) -> Result<Definition, SchemaError> {
     parse_part(name, &file.into(), &lines(text))
@@ -32,7 +31,6 @@ pub fn parse_message(name: &TypeName, file: &str, text: &str) -> Result<Definiti
 /// Parses a `.srv` file's text: the service, its request, response and event, in this order.
 ///
 /// # Errors
-///
 /// [`SchemaError::Definition`] with the place of the first fault.
 pub fn parse_service(name: &TypeName, file: &str, text: &str) -> Result<Vec<Definition>, SchemaError> {
     let file = Arc::from(file);
@@ -47,7 +45,6 @@ pub fn parse_service(name: &TypeName, file: &str, text: &str) -> Result<Vec<Defi
 /// derives from them.
 ///
 /// # Errors
-///
 /// [`SchemaError::Definition`] with the place of the first fault.
 pub fn parse_action(name: &TypeName, file: &str, text: &str) -> Result<Vec<Definition>, SchemaError> {
     let file = Arc::from(file);
@@ -62,7 +59,6 @@ pub fn parse_action(name: &TypeName, file: &str, text: &str) -> Result<Vec<Defin
 /// Parses the text of a file of the name's kind.
 ///
 /// # Errors
-///
 /// [`SchemaError::Definition`] with the place of the first fault.
 pub fn parse(name: &TypeName, file: &str, text: &str) -> Result<Vec<Definition>, SchemaError> {
     match name.kind() {

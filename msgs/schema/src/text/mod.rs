@@ -20,7 +20,6 @@ impl DynamicMessage {
     /// `"-Infinity"`. A `bool` may be 0 or 1, and an integer may be a float without a fraction, such as `1.0`.
     ///
     /// # Errors
-    ///
     /// [`MessageError::Text`] with field and place if it is not valid or does not fit the type.
     pub fn from_json(schema: &Arc<Schema>, text: &str) -> Result<Self, MessageError> {
         let mut deserializer = serde_json::Deserializer::from_str(text);
@@ -32,7 +31,6 @@ impl DynamicMessage {
     /// Reads YAML, with the feature `yaml`: a mapping of the fields, as [`from_json`](Self::from_json) reads an object.
     ///
     /// # Errors
-    ///
     /// [`MessageError::Text`] with field and place if it is not valid or does not fit the type.
     #[cfg(feature = "yaml")]
     pub fn from_yaml(schema: &Arc<Schema>, text: &str) -> Result<Self, MessageError> {
@@ -43,7 +41,6 @@ impl DynamicMessage {
     /// `auto`, and a `builtin_interfaces/Time` the word `now`. Returns the paths of the times to set, such as `header.stamp`; they are 0.
     ///
     /// # Errors
-    ///
     /// As [`from_yaml`](Self::from_yaml).
     #[cfg(feature = "yaml")]
     pub fn from_yaml_with_stamps(
@@ -67,7 +64,6 @@ impl DynamicMessage {
     /// [`from_json`](Self::from_json) of what was parsed already.
     ///
     /// # Errors
-    ///
     /// [`MessageError::Text`] with the field if it does not fit the type.
     pub fn from_json_value(schema: &Arc<Schema>, json: &serde_json::Value) -> Result<Self, MessageError> {
         let fields = Root::seed(schema, None).deserialize(json);

@@ -24,11 +24,9 @@ impl<'a> Carver<'a> {
     /// Zeroes the padding up to the next multiple of `align`, a power of two, and takes `len` bytes.
     ///
     /// # Real-time
-    ///
     /// Wait-free; no allocation; no syscall.
     ///
     /// # Errors
-    ///
     /// [`EncodeFault::Room`] if the memory ends before; nothing is taken then.
     #[inline]
     pub fn take(&mut self, align: usize, len: usize) -> Result<&'a mut [u8], EncodeError> {
@@ -53,11 +51,9 @@ impl<'a> Carver<'a> {
     /// Writes a length as `uint32`.
     ///
     /// # Real-time
-    ///
     /// Wait-free; no allocation; no syscall.
     ///
     /// # Errors
-    ///
     /// [`EncodeFault::Bound`] if it is more than `bound`, [`EncodeFault::Length`] if it does not fit, else as
     /// [`take`](Self::take).
     #[inline]

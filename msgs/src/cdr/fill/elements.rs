@@ -48,7 +48,6 @@ impl<'a, 's, F: Fill> Elements<'a, 's, F> {
     /// Lets `write` set each element in turn, and checks that each was set. Once, and before `default_rest`.
     ///
     /// # Errors
-    ///
     /// Of `write`; [`WriteFault::Unset`] with the field that was not set; a length over its bound; [`WriteFault::Again`].
     pub fn each(
         &mut self,

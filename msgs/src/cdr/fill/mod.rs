@@ -11,7 +11,7 @@ pub(super) mod numbers;
 mod sizes;
 mod text;
 
-use crate::cdr::{Bound, Bounded, EncodeError, EncodeFault, Form};
+use crate::cdr::{Bound, Bounded, EncodeError, EncodeFault, FieldError, Form};
 use crate::{BODY_ALIGN, Message};
 pub use carver::Carver;
 pub use elements::Elements;
@@ -80,7 +80,6 @@ pub trait Fill: Form {
     /// implementation, also where its sizes do not have it.)
     ///
     /// # Errors
-    ///
     /// [`EncodeError`] if a length is greater than its bound or the memory too short.
     fn carve<'a, 's: 's>(
         sizes: Self::Sizes<'s>,
@@ -90,7 +89,6 @@ pub trait Fill: Form {
     /// As [`carve`](Self::carve), for a sequence of at most `bound`, its own length included.
     ///
     /// # Errors
-    ///
     /// As there.
     fn carve_list<'a, 's: 's>(
         sizes: Self::ListSizes<'s>,
@@ -101,7 +99,6 @@ pub trait Fill: Form {
     /// As [`carve`](Self::carve), for an array.
     ///
     /// # Errors
-    ///
     /// As there.
     fn carve_array<'a, 's: 's, const N: usize>(
         sizes: Self::ArraySizes<'s>,
@@ -114,7 +111,6 @@ pub trait Piece<V> {
     /// Whether everything was set.
     ///
     /// # Errors
-    ///
     /// [`WriteFault::Unset`] with the first field that was not.
     fn check(&self) -> Result<(), WriteError>;
 
@@ -128,7 +124,6 @@ pub trait BoundFill: Fill {
     /// As [`Fill::carve`], for at most `bound` elements or characters.
     ///
     /// # Errors
-    ///
     /// As there.
     fn carve_bounded<'a, 's: 's>(
         sizes: Self::Sizes<'s>,
@@ -137,31 +132,19 @@ pub trait BoundFill: Fill {
     ) -> Result<Self::Writer<'a, 's>, EncodeError>;
 }
 
-/// Why a message could not be written in place. Holds no heap memory.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct WriteError {
-    /// The innermost message, `package/msg/Name`; empty if it is not known.
-    pub type_name: &'static str,
-    /// Its field; empty for the message itself.
-    pub field: &'static str,
-    /// What is wrong.
-    pub fault: WriteFault,
-}
-
 /// Why a message could not be written in place.
+pub type WriteError = FieldError<WriteFault>;
+
+/// What is wrong with a message that is written in place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 pub enum WriteFault {
     /// A field was not written.
     #[error("it was not set: set it, or give the rest its defaults with `default_rest`")]
     Unset,
     /// A text or list does not have the length that was stated.
     #[error("its length is {len}, but {stated} was stated in the sizes: state the one it has")]
-    Length {
-        /// The length given.
-        len: usize,
-        /// The one stated before.
-        stated: usize,
-    },
+    Length { len: usize, stated: usize },
     /// The elements of a list were written before, one by one or by `default_rest`.
     #[error("its elements were written before: set them once, and the rest with `default_rest` after them")]
     Again,
@@ -173,46 +156,15 @@ pub enum WriteFault {
     Encode(EncodeFault),
 }
 
-impl WriteError {
-    #[cold]
-    pub(crate) fn new(fault: WriteFault) -> Self {
-        Self { type_name: "", field: "", fault }
-    }
-
-    /// Adds where it happened, unless an inner message has done so already.
-    #[cold]
-    #[doc(hidden)]
-    #[must_use = "it returns the changed error"]
-    pub fn within(mut self, type_name: &'static str, field: &'static str) -> Self {
-        if self.type_name.is_empty() {
-            (self.type_name, self.field) = (type_name, field.strip_prefix("r#").unwrap_or(field));
-        }
-        self
-    }
-}
-
 impl From<EncodeError> for WriteError {
     fn from(EncodeError { type_name, field, fault }: EncodeError) -> Self {
         Self { type_name, field, fault: WriteFault::Encode(fault) }
     }
 }
 
-impl core::fmt::Display for WriteError {
-    fn fmt(&self, formatter: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        let Self { type_name, field, fault } = self;
-        match *field {
-            "" => write!(formatter, "`{type_name}`: {fault}"),
-            _ => write!(formatter, "`{type_name}`: field `{field}`: {fault}"),
-        }
-    }
-}
-
-impl core::error::Error for WriteError {}
-
 /// The length in bytes of a body with these lengths.
 ///
 /// # Real-time
-///
 /// Wait-free; no allocation; no syscall. Linear in the number of fields and of elements with sizes of their own.
 pub fn sized_len<T: Fill>(sizes: T::Sizes<'_>) -> usize {
     T::sized_end(sizes, 0)
@@ -224,11 +176,9 @@ pub fn sized_len<T: Fill>(sizes: T::Sizes<'_>) -> usize {
 /// The parts of a sequence that were not written keep the previous content of `memory`.
 ///
 /// # Real-time
-///
 /// Wait-free but for `write`; no allocation; no syscall. Linear in the number of fields.
 ///
 /// # Errors
-///
 /// [`WriteError`]: a length over its bound, memory too short or not at a multiple of [`BODY_ALIGN`], an error of
 /// `write`, a field that was not set.
 pub fn fill<'s, T: Message + Fill>(
@@ -259,6 +209,8 @@ fn length_end(at: usize) -> usize {
 }
 
 /// The sizes and writers of lists of forms that are written one by one.
+#[doc(hidden)]
+#[macro_export]
 macro_rules! one_by_one {
     () => {
         type ListSizes<'s> = &'s [Self::Sizes<'s>];
@@ -268,13 +220,13 @@ macro_rules! one_by_one {
 
         $crate::sizes_of_values! {
             fn list_sizes_from<'s>(
-                values: Option<&[Self::Value]>,
+                values: ::core::option::Option<&[Self::Value]>,
                 source: &mut impl $crate::cdr::SizeSource<'s>,
             ) -> Self::ListSizes<'s> {
                 $crate::cdr::size_list(source, values, Self::sizes_from)
             }
             fn array_sizes_from<'s>(
-                values: Option<&[Self::Value]>,
+                values: ::core::option::Option<&[Self::Value]>,
                 source: &mut impl $crate::cdr::SizeSource<'s>,
             ) -> Self::ArraySizes<'s> {
                 $crate::cdr::size_list(source, values, Self::sizes_from)
@@ -296,7 +248,7 @@ macro_rules! one_by_one {
             sizes: &'s [Self::Sizes<'s>],
             bound: usize,
             carver: &mut $crate::cdr::Carver<'a>,
-        ) -> ::core::result::Result<$crate::cdr::Elements<'a, 's, Self>, $crate::cdr::EncodeError> {
+        ) -> $crate::cdr::Encoded<$crate::cdr::Elements<'a, 's, Self>> {
             carver.length(sizes.len(), bound)?;
             $crate::cdr::Elements::carve(sizes, sizes.len(), carver)
         }
@@ -305,17 +257,16 @@ macro_rules! one_by_one {
         fn carve_array<'a, 's: 's, const LEN: usize>(
             sizes: &'s [Self::Sizes<'s>],
             carver: &mut $crate::cdr::Carver<'a>,
-        ) -> ::core::result::Result<$crate::cdr::Elements<'a, 's, Self>, $crate::cdr::EncodeError> {
+        ) -> $crate::cdr::Encoded<$crate::cdr::Elements<'a, 's, Self>> {
             $crate::cdr::Elements::carve(sizes, LEN, carver)
         }
     };
 }
-pub(crate) use one_by_one;
 
 impl<F: Fill> Fill for Vec<F> {
     type Sizes<'s> = F::ListSizes<'s>;
     type Writer<'a, 's> = F::ListWriter<'a, 's>;
-    one_by_one!();
+    crate::one_by_one!();
 
     crate::sizes_of_values! {
         fn sizes_from<'s>(
@@ -354,7 +305,7 @@ impl<F: Fill> BoundFill for Vec<F> {
 impl<F: Fill, const N: usize> Fill for [F; N] {
     type Sizes<'s> = F::ArraySizes<'s>;
     type Writer<'a, 's> = F::ArrayWriter<'a, 's, N>;
-    one_by_one!();
+    crate::one_by_one!();
 
     crate::sizes_of_values! {
         fn sizes_from<'s>(
@@ -382,7 +333,7 @@ impl<F: Fill, const N: usize> Fill for [F; N] {
 impl<F: BoundFill + Bound, const N: usize> Fill for Bounded<F, N> {
     type Sizes<'s> = F::Sizes<'s>;
     type Writer<'a, 's> = F::Writer<'a, 's>;
-    one_by_one!();
+    crate::one_by_one!();
 
     crate::sizes_of_values! {
         fn sizes_from<'s>(

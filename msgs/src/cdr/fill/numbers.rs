@@ -60,7 +60,6 @@ impl<T: Plain> Slice<'_, T> {
     /// Copies `values` in.
     ///
     /// # Errors
-    ///
     /// [`WriteFault::Length`] if they are not as many as was stated.
     #[inline]
     pub fn copy_from(&mut self, values: &[T]) -> Result<(), WriteError> {

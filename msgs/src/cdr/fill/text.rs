@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Strings and `wstring`s of a length stated before.
 
-use super::{length_end, one_by_one};
+use super::length_end;
 use crate::cdr::{BoundFill, Carver, EncodeError, EncodeFault, Fill, Piece, WString, WriteError, WriteFault};
 
 /// The memory for a string.
@@ -17,7 +17,6 @@ impl Text<'_> {
     /// Writes it.
     ///
     /// # Errors
-    ///
     /// [`WriteFault::Length`] if its number of bytes is not the stated one, [`EncodeFault::Bound`] if it has more
     /// characters than the definition allows.
     #[inline]
@@ -70,7 +69,6 @@ impl WText<'_> {
     /// Writes it.
     ///
     /// # Errors
-    ///
     /// [`WriteFault::Length`] if its number of UTF-16 units is not the stated one, [`EncodeFault::Bound`] if it has
     /// more characters than the definition allows.
     pub fn set(&mut self, text: &str) -> Result<(), WriteError> {
@@ -99,7 +97,7 @@ fn check_bound(text: &str, bound: usize) -> Result<(), WriteError> {
 impl Fill for String {
     type Sizes<'s> = usize;
     type Writer<'a, 's> = Text<'a>;
-    one_by_one!();
+    crate::one_by_one!();
 
     crate::sizes_of_values! {
         fn sizes_from<'s>(value: Option<&Self>, source: &mut impl crate::cdr::SizeSource<'s>) -> usize {
@@ -135,7 +133,7 @@ impl BoundFill for String {
 impl Fill for WString {
     type Sizes<'s> = usize;
     type Writer<'a, 's> = WText<'a>;
-    one_by_one!();
+    crate::one_by_one!();
 
     crate::sizes_of_values! {
         fn sizes_from<'s>(value: Option<&String>, source: &mut impl crate::cdr::SizeSource<'s>) -> usize {

@@ -83,14 +83,13 @@ impl<S: FarServer> Offered<S> {
         let far = open()?;
         counters.set_active(true);
         let (waiting, waiting_bytes, availability, pending, asked) = Default::default();
-        let (key, participant) = (key.clone(), participant.clone());
         Ok(Offered {
             clients,
             far,
             flag,
-            key,
+            key: key.clone(),
             service_type,
-            participant,
+            participant: participant.clone(),
             waiting,
             waiting_bytes,
             availability,

@@ -83,16 +83,15 @@ impl<C: FarClient> Sought<C> {
         counters: Arc<ServiceCounters>,
         flag: Arc<Flag>,
     ) -> Self {
-        let (service, participant) = (key.topic.clone(), participant.clone());
         Sought {
             far,
             server: None,
             next: None,
             unsent_errors: VecDeque::new(),
             flag,
-            service,
+            service: key.topic.clone(),
             service_type,
-            participant,
+            participant: participant.clone(),
             counters,
         }
     }

@@ -4,7 +4,7 @@
 
 use crate::error::TransportError;
 use crate::graph::domain::{Domain, Seen};
-use crate::graph::entities::{EndpointKind, NodeName};
+use crate::graph::entities::NodeName;
 use crate::graph::log::{EntryKind, Reader};
 use crate::graph::origin::Rank;
 use crate::graph::record::{PortKind, PortRecord, RemotePortRecord};
@@ -361,9 +361,8 @@ impl Index {
                 return None;
             };
             let end = RemotePortRecord::parse(&entry.body)?.endpoint(&nobody, Some(gid.participant()));
-            let fits = end.kind == EndpointKind::from(kind)
-                && end.topic == topic.name
-                && topic.topic_type.agrees_with(&end.topic_type);
+            let fits =
+                end.kind == kind && end.topic == topic.name && topic.topic_type.agrees_with(&end.topic_type);
             // Each once, as the best of those that tell of it does.
             let rank = end.origin.rank(gid.participant().into());
             fits.then_some((end.origin.tag, rank, end.gid))

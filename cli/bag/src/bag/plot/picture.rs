@@ -6,7 +6,8 @@ use plotters::style::text_anchor::{HPos, VPos};
 use plotters::style::{RGBColor, WHITE};
 use taut_cli::date::date;
 use taut_cli::demo::plot::canvas::{Canvas, text};
-use taut_cli::demo::plot::{FAINT, GRID, INK, PlotError, round_step, shorten};
+use taut_cli::demo::plot::{FAINT, GRID, INK, round_step, shorten};
+use taut_cli::verb::Outcome;
 
 /// The palette of Okabe and Ito, which people of any colour vision can distinguish, without its yellow, which is too pale for a line.
 pub const COLOURS: [RGBColor; 7] = [
@@ -85,7 +86,7 @@ impl Picture<'_> {
     ///
     /// # Errors
     /// The drawing library fails.
-    pub fn draw(&self) -> Result<String, PlotError> {
+    pub fn draw(&self) -> Outcome<String> {
         let (width, height) = self.size;
         let (low, high) = self.values();
         let legend = self.legend(width - 2 * MARGIN);
@@ -130,7 +131,7 @@ impl Picture<'_> {
         (low - room, high + room)
     }
 
-    fn draw_title(&self, canvas: &Canvas, right: i32) -> Result<(), PlotError> {
+    fn draw_title(&self, canvas: &Canvas, right: i32) -> Outcome {
         let seconds = (self.to_ns - self.from_ns) as f64 / 1e9;
         let when = format!("{} UTC · {} s", date(self.start_ns.cast_signed()), plain(seconds, 3));
         let letters = f64::from(right - MARGIN) - when.chars().count() as f64 * LETTER - 20.0;
@@ -161,7 +162,7 @@ impl Picture<'_> {
     }
 
     /// The axis of time, from the bag's beginning.
-    fn draw_times(&self, canvas: &Canvas, frame: &Frame) -> Result<(), PlotError> {
+    fn draw_times(&self, canvas: &Canvas, frame: &Frame) -> Outcome {
         let span_ns = (self.to_ns - self.from_ns).max(1) as f64;
         let (unit, unit_ns) = match span_ns {
             span if span < 2e4 => ("µs", 1e3),
@@ -222,7 +223,7 @@ impl Ticks {
         self.labels.iter().map(|label| label.chars().count()).max().unwrap_or(0)
     }
 
-    fn draw(&self, canvas: &Canvas, frame: &Frame) -> Result<(), PlotError> {
+    fn draw(&self, canvas: &Canvas, frame: &Frame) -> Outcome {
         for (value, label) in self.values.iter().zip(&self.labels) {
             let y = frame.y(*value);
             canvas.line((frame.left, y), (frame.right, y), GRID, 1)?;
@@ -236,13 +237,7 @@ impl Ticks {
 }
 
 /// With marks where there are few points.
-fn draw_line(
-    canvas: &Canvas,
-    frame: &Frame,
-    line: &[Point],
-    is_step: bool,
-    colour: RGBColor,
-) -> Result<(), PlotError> {
+fn draw_line(canvas: &Canvas, frame: &Frame, line: &[Point], is_step: bool, colour: RGBColor) -> Outcome {
     let mut points: Vec<_> = line.iter().map(|(at_ns, value)| (frame.x(*at_ns), frame.y(*value))).collect();
     points.dedup();
     let width = points.last().zip(points.first()).map_or(0, |(last, first)| last.0 - first.0);

@@ -37,16 +37,9 @@ pub enum Kind {
     Request,
 }
 
-impl Kind {
-    pub fn name(self) -> &'static str {
-        match self {
-            Kind::Deadline => "deadline",
-            Kind::Death => "death",
-            Kind::Silence => "silence",
-            Kind::Request => "request",
-        }
-    }
-}
+tautline_rt::names!(Kind: pub const fn name(self) -> &'static str {
+    Deadline: "deadline", Death: "death", Silence: "silence", Request: "request",
+});
 
 /// Why the black box is written.
 pub struct Alarm {
