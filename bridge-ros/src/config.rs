@@ -72,7 +72,7 @@ fn config(mut root: Section<'_>) -> Config {
     let domain = root.integer_in("domain", 0..=MAX_DOMAIN.into());
     let ros_domain = root.integer_in("ros_domain", 0..=MAX_DOMAIN.into());
     let auto = root.flag("auto");
-    let transit = root.has("transit").then(|| root.flag("transit"));
+    let transit = root.optional_flag("transit");
     let (allow, deny) = (patterns(&mut root, "allow"), patterns(&mut root, "deny"));
     let mut rules = read_rules(&mut root, "topic", topic);
     let mut services = read_rules(&mut root, "service", service);

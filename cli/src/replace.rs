@@ -5,8 +5,8 @@ use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-/// A file that gets its name when it is complete; until then an earlier file of this name stays. What is no regular file, such as a pipe or `/dev/null`,
-/// keeps its name and is written at once.
+/// A file that gets its name when it is complete; until then an earlier file of this name stays. What is no regular file, such as a pipe, `/dev/null`
+/// or a symbolic link, keeps its name and is written at once.
 pub struct NewFile {
     path: PathBuf,
     partial: Option<PathBuf>,
@@ -16,7 +16,7 @@ pub struct NewFile {
 impl NewFile {
     /// An error at once if the path is unusable.
     pub fn create(path: &Path) -> io::Result<Self> {
-        let is_replaced = fs::metadata(path).map_or(true, |metadata| metadata.is_file());
+        let is_replaced = fs::symlink_metadata(path).map_or(true, |metadata| metadata.is_file());
         let partial = is_replaced.then(|| {
             let mut partial = path.as_os_str().to_owned();
             partial.push(".partial");

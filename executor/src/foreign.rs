@@ -226,10 +226,10 @@ impl ForeignCallback {
         self.with_account(|account| {
             account.end(&stats, false, late.map(|(release_ns, _)| (release_ns, now_ns)))
         });
+        if is_demoted {
+            stats.demoted();
+        }
         if let Some((release_ns, response_ns)) = job {
-            if is_demoted {
-                stats.demoted();
-            }
             stats.complete(&Job { release_ns, response_ns, execution_ns, input_size: None });
         }
         execution_ns

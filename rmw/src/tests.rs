@@ -368,6 +368,7 @@ fn serialized_messages_are_lent() {
     const DATA: usize = 64 << 10;
     const MOST: usize = types::HELD / 2;
     let world = World::new(75);
+    let other = World::join(75);
     let of = support("std_msgs", "UInt8MultiArray");
     let message_of = |value: u8| {
         let mut bytes = vec![0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
@@ -378,10 +379,10 @@ fn serialized_messages_are_lent() {
     // SAFETY: rmw's protocol.
     unsafe {
         let (publisher, subscription) =
-            (world.publisher(of, &profile(100)), world.subscription(of, &profile(100)));
+            (other.publisher(of, &profile(100)), world.subscription(of, &profile(100)));
         let allocator = rcutils_get_default_allocator();
         let empty = || rmw_serialized_message_t { allocator, ..rmw_serialized_message_t::default() };
-        let publish = |value: u8| {
+        let publish = |publisher, value: u8| {
             let mut bytes = message_of(value);
             let (buffer, len) = (bytes.as_mut_ptr(), bytes.len());
             let message =
@@ -389,17 +390,27 @@ fn serialized_messages_are_lent() {
             let answer = publisher::rmw_publish_serialized_message(publisher, &message, null_mut());
             assert_eq!(answer, RET_OK);
         };
+        let match_with = |publisher| {
+            let mut count = 0;
+            while count == 0 {
+                publisher::rmw_publisher_count_matched_subscriptions(publisher, &mut count);
+                std::thread::yield_now();
+            }
+        };
         let take = |message: &mut rmw_serialized_message_t| {
             let mut taken = false;
-            let answer =
-                subscription::rmw_take_serialized_message(subscription, message, &mut taken, null_mut());
-            assert_eq!((answer, taken), (RET_OK, true));
+            while !taken {
+                let answer =
+                    subscription::rmw_take_serialized_message(subscription, message, &mut taken, null_mut());
+                assert_eq!(answer, RET_OK);
+            }
         };
         let bytes = |message: &rmw_serialized_message_t| {
             std::slice::from_raw_parts(message.buffer, message.buffer_length).to_vec()
         };
         let is_lent = |message: &rmw_serialized_message_t| message.buffer.addr() % 64 == 60;
-        (0..=MOST as u8 + 3).for_each(publish);
+        match_with(publisher);
+        (0..=MOST as u8 + 3).for_each(|value| publish(publisher, value));
 
         let mut messages: Vec<_> = std::iter::repeat_with(empty).take(MOST + 1).collect();
         messages.iter_mut().for_each(take);
@@ -423,7 +434,7 @@ fn serialized_messages_are_lent() {
         take(&mut messages[3]);
         assert!(is_lent(&messages[3]));
 
-        assert_eq!(publisher::rmw_destroy_publisher(world.node, publisher), RET_OK);
+        assert_eq!(publisher::rmw_destroy_publisher(other.node, publisher), RET_OK);
         assert_eq!(subscription::rmw_destroy_subscription(world.node, subscription), RET_OK);
         assert!(bytes(&messages[4]) == message_of(4));
         for message in &messages {

@@ -194,13 +194,18 @@ impl<'t> Section<'t> {
 
     /// True or false; false if it is not there.
     pub fn flag(&mut self, key: &'static str) -> bool {
-        let Some(value) = self.get(key) else { return false };
+        self.optional_flag(key).unwrap_or(false)
+    }
+
+    /// `None` if it is not there.
+    pub fn optional_flag(&mut self, key: &'static str) -> Option<bool> {
+        let value = self.get(key)?;
         let flag = value.get_ref().as_bool();
         if flag.is_none() {
             let kind = kind(value.get_ref());
             self.problem(value.span().start).add(format!("`{key}` must be true or false, not {kind}"));
         }
-        flag.unwrap_or(false)
+        flag
     }
 
     /// One of the values that have names.

@@ -54,7 +54,7 @@ struct Rate {
 
 /// Without what processes recorded that have ended: a killed one's is fetched with the others'.
 pub fn of_those_that_run(mut recording: Recording) -> Recording {
-    recording.processes.retain(|_, process| rt::threads_of(process.pid).is_ok_and(|of| !of.is_empty()));
+    recording.processes.retain(|_, process| !process.has_ended);
     recording.events.retain(|timed| recording.processes.contains_key(&timed.process));
     recording
 }
@@ -201,7 +201,10 @@ fn timers_of_thread(process: u32, tid: u32, rounds: &[Round]) -> Vec<Callback> {
     let mut timers: Vec<Timer<'_>> = Vec::new();
     for ((node, topic), seen) in topics {
         let times: Vec<u64> = seen.values().copied().collect();
-        let Some((period_ns, _)) = rate(&times).regular else { continue };
+        let Some((period_ns, deviation_ns)) = rate(&times).regular else { continue };
+        if deviation_ns > period_ns / 2 {
+            continue;
+        }
         let (rounds, publishes) = (seen.into_keys().collect(), BTreeSet::from([topic.to_owned()]));
         match timers.iter_mut().find(|timer| timer.node == node && timer.rounds == rounds) {
             Some(timer) => timer.publishes.extend(publishes),

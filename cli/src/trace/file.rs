@@ -155,7 +155,8 @@ fn add(recording: &mut Recording, entry: Entry) {
         Entry::Undescribed { process, objects } => {
             increase(&mut recording.process(process).undescribed, objects)
         }
-        Entry::Ended { .. } | Entry::Finished { .. } => {}
+        Entry::Ended { process } => recording.process(process).has_ended = true,
+        Entry::Finished { .. } => {}
     }
 }
 

@@ -410,13 +410,22 @@ mod tests {
     /// If this fails, a participant's file has another layout than before: raise its `VERSION`, and state here what it is now.
     #[test]
     fn another_layout_is_another_version() {
+        use crate::memory::header::SampleHeader;
         use crate::memory::{control, file};
+        use std::mem::offset_of;
         let magics =
             [control::MAGIC, MAGIC].map(|magic| String::from_utf8(magic.to_le_bytes().into()).unwrap());
         let lengths =
             [size_of::<file::ParticipantHeader>(), size_of::<control::PublisherHead>(), size_of::<Block>()];
-        let expected = (4, ["tautpub1".to_owned(), "tautcon1".to_owned()], [120, 1216, 320]);
-        assert_eq!((file::VERSION, magics, lengths), expected);
+        let header = [
+            offset_of!(SampleHeader, expires_ns),
+            offset_of!(SampleHeader, source_gid),
+            offset_of!(SampleHeader, len_bytes),
+            size_of::<SampleHeader>(),
+        ];
+        let expected =
+            (5, ["tautpub1".to_owned(), "tautcon1".to_owned()], [120, 1216, 320], [16, 40, 56, 64]);
+        assert_eq!((file::VERSION, magics, lengths, header), expected);
     }
 
     /// The same memory twice, as two processes see it.

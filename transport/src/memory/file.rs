@@ -25,7 +25,7 @@ use tautline_rt::{PiGuard, PiMutex};
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautpart");
 /// Of all that a participant's file holds: raised with any change, of which a test of `connection` tells.
-pub(crate) const VERSION: u32 = 4;
+pub(crate) const VERSION: u32 = 5;
 /// Starts the names of participants' files in the folder of their domain.
 pub(crate) const PREFIX: &str = "p";
 /// Starts the names of files that stand for participants whose own was removed.

@@ -19,7 +19,7 @@ const MEMORY: &[Claim] = &[
     (
         "(`Limits::message_bytes`: without growing) | 4,096 | 4 GiB |",
         "transport/src",
-        "MAX_MESSAGE_BYTES: usize = 1 << 32;",
+        "MAX_MESSAGE_BYTES: usize = u32::MAX as usize & !7;",
     ),
     (
         "pending requests (`MAX_PENDING_REQUESTS`) | | 64 |",

@@ -57,7 +57,7 @@ doctor() {
 
 # A new system file has bounds.
 bounds() {
-    taut init /tmp/robot.toml && taut check /tmp/robot.toml
+    rm -f /tmp/robot.toml && taut init /tmp/robot.toml && taut check /tmp/robot.toml
 }
 
 # A message crosses two gateways.

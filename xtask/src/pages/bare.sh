@@ -23,6 +23,10 @@ for folder in /usr /etc /var; do
     layers=lowerdir=$folder,upperdir=$root/.changed$folder/new,workdir=$root/.changed$folder/work
     mount -t overlay overlay -o "$layers" "$root$folder"
 done
+# In a container they are mounts of their own, which an overlay lacks.
+for file in /etc/resolv.conf /etc/hosts; do
+    if mountpoint -q "$file"; then mount --bind "$file" "$root$file"; fi
+done
 # An ordinary user installs none of Debian's packages. Nobody searches for manual pages.
 if [ -w "$root/var/lib/dpkg" ]; then
     echo 'APT::Sandbox::User "root";' > "$root/etc/apt/apt.conf.d/bare"

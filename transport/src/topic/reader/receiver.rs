@@ -145,8 +145,6 @@ pub(crate) struct TakenSample {
     pub(crate) lost: u64,
     /// Samples of this publisher that waited, this one included.
     pub(crate) waiting: u64,
-    /// Of those that were taken out of the queue together: the publisher sees now that they were taken.
-    pub(crate) is_last: bool,
 }
 
 /// What came of a look at a publisher's queue.
@@ -274,14 +272,15 @@ impl Receiver {
         let lost = number.saturating_sub(half.next);
         // Numbers are another process's claims: too large a one is a wrong count, not an overflow.
         half.next = half.next.max(number.saturating_add(1));
-        let waiting = core::mem::take(&mut half.queued) as u64 + half.stashed as u64 + 1;
-        let is_last = half.stashed == 0;
-        if is_last {
-            // Release: pairs with the Acquire in the publisher's check for room.
-            self.block().back.taken.store(number, Ordering::Release);
-        }
+        let queued = core::mem::take(&mut half.queued) as u64;
+        let waiting = match self.at_a_time {
+            1 => queued.saturating_add(1),
+            _ => self.block().out.sent.load(Ordering::Relaxed).saturating_add(1).saturating_sub(number),
+        };
+        // Release: pairs with the Acquire in the publisher's check for room.
+        self.block().back.taken.store(number, Ordering::Release);
         let held = BorrowedChunk { receiver: self.clone(), chunk, _map: view.map.clone() };
-        TakeOutcome::Taken(TakenSample { held, header, payload, lost, waiting, is_last })
+        TakeOutcome::Taken(TakenSample { held, header, payload, lost, waiting })
     }
 
     /// The oldest sample that was not given out.
@@ -340,6 +339,7 @@ impl Receiver {
             }
             // SAFETY: as the caller promises.
             half.parked = unsafe { self.connection.take() };
+            half.queued = self.connection.queued();
         }
         match half.parked {
             None => Some(false),

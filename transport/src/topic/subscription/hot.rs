@@ -58,8 +58,7 @@ impl RawSample {
             let start = self.payload.cast::<u8>().byte_sub(ENCAPSULATION.len());
             std::slice::from_raw_parts(start.as_ptr().cast_const(), len_bytes)
         };
-        // Another process's claim.
-        bytes.starts_with(&ENCAPSULATION).then_some(bytes)
+        self.is_message().then_some(bytes)
     }
 
     /// The body and what follows it, up to a multiple of 8.
@@ -188,7 +187,7 @@ impl RawSubscription {
                 return Ok(None);
             };
             budget.spend();
-            if taken.is_last && self.core().qos.history == History::KeepAll {
+            if self.core().qos.history == History::KeepAll {
                 taken.receiver().ring_if_waiting();
             }
             if taken.lost != 0 {
