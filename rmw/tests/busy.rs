@@ -364,7 +364,7 @@ fn observed(domain: &Domain, program: &Path, model: &Model, seen: &Seen) -> Opti
 
 #[test]
 fn a_program_on_rcl_keeps_order_and_bounds() {
-    let Some(domain) = Domain::new(77).filter(|_| may_be_realtime()) else { return };
+    let Some(domain) = Domain::new(118).filter(|_| may_be_realtime()) else { return };
     let number = |name: &str| std::env::var(name).ok().and_then(|text| text.parse().ok());
     let systems = number("SYSTEMS").unwrap_or(5);
     let seed = number("TAUT_SEED").unwrap_or_else(|| rand::random::<u32>().into());

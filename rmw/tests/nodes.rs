@@ -208,7 +208,7 @@ fn each_side_sees_the_others_graph() {
 /// Also of what rclpy never destroys, its type description service.
 #[test]
 fn nothing_is_left_of_a_node_that_was_destroyed() {
-    let Some(domain) = Domain::new(84) else { return };
+    let Some(domain) = Domain::new(119) else { return };
     let (mut one, mut other) = (domain.peer("one"), domain.peer("other"));
     one.tell(json!({ "do": "passing_node", "name": "passing" }));
     other.tell(json!({ "do": "wait_node", "name": "/passing" }));

@@ -59,7 +59,7 @@ rclpy.shutdown()
 
 #[test]
 fn an_executor_of_rclpy_begins_what_the_simulation_begins() {
-    let Some(domain) = Domain::new(76) else { return };
+    let Some(domain) = Domain::new(117) else { return };
     let seed =
         std::env::var("TAUT_SEED").ok().and_then(|seed| seed.parse().ok()).unwrap_or_else(rand::random);
     println!("TAUT_SEED={seed}");

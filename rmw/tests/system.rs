@@ -215,7 +215,7 @@ rclpy.shutdown()
 /// The thread that waits for a callback becomes the thread that the system file describes; others stay as they are.
 #[test]
 fn threads_of_unchanged_executors_are_those_of_the_system_file() {
-    let Some(domain) = Domain::new(69).filter(|_| may_be_realtime()) else { return };
+    let Some(domain) = Domain::new(115).filter(|_| may_be_realtime()) else { return };
     let file = tempfile::NamedTempFile::new().unwrap();
     let callback = |name: &str, priority: u8| {
         format!(

@@ -197,7 +197,8 @@ fn verdicts(rows: &[Row]) -> Vec<Verdict> {
 
 const ORDER_WAITS: &str =
     "each of 20 priorities has a wait of its own, for which rclcpp builds the wait set anew";
-const SERIALIZED_COPIES: &str = "a serialized message is copied into shared memory, for the buffer is the publisher's own";
+const SERIALIZED_COPIES: &str =
+    "a serialized message is copied into shared memory, for the buffer is the publisher's own";
 
 /// Round trips of one kind.
 struct Trips {
@@ -355,7 +356,8 @@ impl Run<'_> {
         let row = |(system, case, tally, faults): &(&System, C, Tally, u64)| {
             let row = tally.row(case.experiment(is_held), system.name, &case.mode(), case.bytes());
             let per_message = *faults as f64 / row.n.max(1) as f64 / 2.0;
-            let note = if per_message < 0.01 { row.note } else { format!("{per_message:.1} page faults a message") };
+            let note =
+                if per_message < 0.01 { row.note } else { format!("{per_message:.1} page faults a message") };
             Row { note, ..row }
         };
         Ok(found.iter().map(row).collect())
