@@ -210,8 +210,8 @@ impl ForeignCallback {
         }
     }
 
-    /// Ends the job, which began with this release. If its execution time is measured, the job is charged this thread's processor time since the end of the previous
-    /// job, or since [`idle`]; this time is returned. It is never too low, and at most 5 µs too high if the thread lost the core soon after
+    /// Ends the job, which began with this release. If its execution time is measured, the job is charged this thread's processor time since
+    /// the end of the previous job, or since [`idle`]; this time is returned. It is never too low, and at most 5 µs too high if the thread lost the core soon after
     /// a job before; exact where budgets are held or [`used_ns`] was called.
     ///
     /// # Real-time

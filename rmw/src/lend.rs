@@ -12,13 +12,14 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use tautline_transport::RawSample;
 
-/// Shorter messages are copied, which takes less time than the sample's way back.
+/// Shorter messages are copied: a copy takes less time than returning the sample.
 const LEAST_BYTES: usize = 16 << 10;
-/// Of one subscription; further messages are copied, so that who keeps messages (a recorder's cache) stops no publisher.
+/// How many messages of one subscription are lent at a time. Further ones are copied, so that a program that keeps messages, such as a
+/// recorder, does not stop the publisher.
 const MOST_LENT: usize = crate::types::HELD / 2;
-/// Of the process.
+/// How many messages are lent at a time in this process, at most.
 const SLOTS: usize = 1024;
-/// How many slots an address may be in.
+/// In how many slots an address is looked for.
 const PROBES: usize = 16;
 
 static LENT: Table<Lent, SLOTS> = Table::new();
@@ -58,7 +59,7 @@ impl Drop for Counted {
     }
 }
 
-/// Whether messages are lent from now on: who writes to received ones needs copies.
+/// Sets whether messages are lent from now on. A program that writes into received messages needs copies.
 pub(crate) fn allow(is_allowed: bool) {
     IS_ALLOWED.store(is_allowed, Ordering::Relaxed);
 }
@@ -84,7 +85,7 @@ pub(crate) unsafe fn lend(
         _ => false,
     };
     let bytes = match sample.serialized() {
-        Some(bytes) if is_usual && bytes.len() >= LEAST_BYTES && is_lent(bytes.as_ptr()) => {
+        Some(bytes) if is_usual && bytes.len() >= LEAST_BYTES && is_in_sample(bytes.as_ptr()) => {
             (bytes.as_ptr().cast_mut(), bytes.len())
         }
         _ => return Err(sample),
@@ -104,12 +105,13 @@ pub(crate) unsafe fn lend(
 
 /// Empties a lent message: a sample is not written to.
 pub(crate) fn give_back(message: &mut rmw_serialized_message_t) {
-    if is_lent(message.buffer) && LENT.remove(message.buffer.addr()).is_some() {
+    if is_in_sample(message.buffer) && LENT.remove(message.buffer.addr()).is_some() {
         (message.buffer, message.buffer_length, message.buffer_capacity) = (null_mut(), 0, 0);
     }
 }
 
-fn is_lent<T>(address: *const T) -> bool {
+/// Whether an address can only be that of a message in a sample, and not of memory of the C library.
+fn is_in_sample<T>(address: *const T) -> bool {
     address.addr() % 16 == 12
 }
 
@@ -132,7 +134,7 @@ unsafe extern "C" fn zero_allocate(count: usize, bytes: usize, state: *mut c_voi
 }
 
 unsafe extern "C" fn deallocate(address: *mut c_void, state: *mut c_void) {
-    if is_lent(address) {
+    if is_in_sample(address) {
         // In a child that was forked meanwhile there may be none.
         drop(LENT.remove(address.addr()));
     } else if let Some(deallocate) = system().deallocate {
@@ -142,7 +144,7 @@ unsafe extern "C" fn deallocate(address: *mut c_void, state: *mut c_void) {
 }
 
 unsafe extern "C" fn reallocate(address: *mut c_void, bytes: usize, state: *mut c_void) -> *mut c_void {
-    if !is_lent(address) {
+    if !is_in_sample(address) {
         // SAFETY: rcutils' contract: of this allocator, here the system's.
         return system()
             .reallocate

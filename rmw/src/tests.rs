@@ -434,6 +434,18 @@ fn serialized_messages_are_lent() {
         take(&mut messages[3]);
         assert!(is_lent(&messages[3]));
 
+        // Neither is what the own context published, which it could write to, nor anything if that is not allowed.
+        let own = world.publisher(of, &profile(100));
+        match_with(own);
+        for (publisher, is_allowed) in [(own, true), (publisher, false)] {
+            crate::lend::allow(is_allowed);
+            publish(publisher, 99);
+            take(&mut messages[5]);
+            assert!(!is_lent(&messages[5]) && bytes(&messages[5]) == message_of(99));
+        }
+        crate::lend::allow(true);
+        assert_eq!(publisher::rmw_destroy_publisher(world.node, own), RET_OK);
+
         assert_eq!(publisher::rmw_destroy_publisher(other.node, publisher), RET_OK);
         assert_eq!(subscription::rmw_destroy_subscription(world.node, subscription), RET_OK);
         assert!(bytes(&messages[4]) == message_of(4));

@@ -84,6 +84,38 @@ rclpy.shutdown()
     assert!(kept < 100, "{kept} page faults");
 }
 
+/// Those of rclpy's raw subscriptions, more of them at once than are lent.
+#[test]
+fn serialized_messages_of_another_process_are_whole() {
+    const PROGRAM: &str = r#"
+import array, rclpy, sys
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import UInt8MultiArray
+rclpy.init()
+node = rclpy.create_node("raw")
+received = []
+subscription = node.create_subscription(UInt8MultiArray, "/raw", received.append, 100, raw=True)
+for _ in range(600):
+    if len(received) < 40:
+        rclpy.spin_once(node, timeout_sec=0.1)
+assert len(received) == 40, len(received)
+for number, message in enumerate(received):
+    assert deserialize_message(message, UInt8MultiArray).data == array.array("B", bytes([number]) * 100_000), number
+"#;
+    let Some(domain) = Domain::new(110) else { return };
+    let publisher =
+        publisher(&domain.participant, "/raw", "std_msgs/msg/UInt8MultiArray", Qos::keep_last(100));
+    let mut receiver = domain.python(PROGRAM).spawn().unwrap();
+    matched(&publisher, 1);
+    for number in 0..40 {
+        let mut body = vec![0; 8];
+        body.extend(100_000_u32.to_le_bytes());
+        body.resize(12 + 100_000, number);
+        publisher.publish(&body).unwrap();
+    }
+    assert!(receiver.wait().unwrap().success());
+}
+
 /// The definition that rclpy's process leaves reads what it publishes.
 #[test]
 fn definitions_are_kept_for_tools() {

@@ -82,24 +82,29 @@ pub fn copy_to_shared(to: &mut [u8], from: &[u8]) {
     to.copy_from_slice(from);
 }
 
+/// A prefetch instruction: of x86-64 and of aarch64.
+macro_rules! prefetch {
+    ($address:expr, $x86_64:literal, $aarch64:literal) => {
+        // SAFETY: a hint, which faults at no address. Processors that do not know it do nothing.
+        #[cfg(all(any(target_arch = "x86_64", target_arch = "aarch64"), not(miri)))]
+        unsafe {
+            #[cfg(target_arch = "x86_64")]
+            std::arch::asm!(concat!($x86_64, " [{}]"), in(reg) $address.as_ptr(), options(nostack, preserves_flags, readonly));
+            #[cfg(target_arch = "aarch64")]
+            std::arch::asm!(concat!("prfm ", $aarch64, ", [{}]"), in(reg) $address.as_ptr(), options(nostack, preserves_flags, readonly));
+        }
+        #[cfg(any(miri, not(any(target_arch = "x86_64", target_arch = "aarch64"))))]
+        let _ = $address;
+    };
+}
+
 /// Has the cache fetch the line at an address from the core that read it, to be written soon. Nothing is read or written.
 ///
 /// # Real-time
 /// Wait-free; no syscall; at most one instruction, which waits for nothing.
 #[inline(always)]
 pub fn fetch_to_write(address: std::ptr::NonNull<u8>) {
-    // SAFETY: a hint, which faults at no address. Processors that do not know it do nothing.
-    #[cfg(all(target_arch = "x86_64", not(miri)))]
-    unsafe {
-        std::arch::asm!("prefetchw [{}]", in(reg) address.as_ptr(), options(nostack, preserves_flags, readonly));
-    }
-    // SAFETY: as above.
-    #[cfg(all(target_arch = "aarch64", not(miri)))]
-    unsafe {
-        std::arch::asm!("prfm pstl1keep, [{}]", in(reg) address.as_ptr(), options(nostack, preserves_flags, readonly));
-    }
-    #[cfg(any(miri, not(any(target_arch = "x86_64", target_arch = "aarch64"))))]
-    let _ = address;
+    prefetch!(address, "prefetchw", "pstl1keep");
 }
 
 /// Like [`fetch_to_write`], to be read soon.
@@ -108,18 +113,7 @@ pub fn fetch_to_write(address: std::ptr::NonNull<u8>) {
 /// Wait-free; no syscall; at most one instruction, which waits for nothing.
 #[inline(always)]
 pub fn fetch_to_read(address: std::ptr::NonNull<u8>) {
-    #[cfg(all(target_arch = "x86_64", not(miri)))]
-    // SAFETY: a hint, which faults at no address.
-    unsafe {
-        std::arch::asm!("prefetcht0 [{}]", in(reg) address.as_ptr(), options(nostack, preserves_flags, readonly));
-    }
-    #[cfg(all(target_arch = "aarch64", not(miri)))]
-    // SAFETY: as above.
-    unsafe {
-        std::arch::asm!("prfm pldl1keep, [{}]", in(reg) address.as_ptr(), options(nostack, preserves_flags, readonly));
-    }
-    #[cfg(any(miri, not(any(target_arch = "x86_64", target_arch = "aarch64"))))]
-    let _ = address;
+    prefetch!(address, "prefetcht0", "pldl1keep");
 }
 
 #[cfg(test)]

@@ -170,7 +170,6 @@ impl Receiver {
         owner: ArenaOwner,
         slot: usize,
     ) -> Self {
-        // The publisher sees room when those that were taken out together have been given out: an eighth of the depth later at most.
         let at_a_time = match kind {
             ReceiverKind::KeepsAll { depth } => (depth / 8).clamp(1, AT_A_TIME),
             ReceiverKind::Overwritten | ReceiverKind::Others => 1,
