@@ -98,7 +98,8 @@ pub fn run(args: ComponentArgs) -> Outcome {
         Verb::Run { mut arguments } => {
             let Target { container, common } = &target;
             if container.is_some() || common.json || common.timeout().is_some() {
-                let no = "`taut component run` starts a container: see `taut component run --help`";
+                let no = "`taut component run` starts a container and has none of --container, --json and --timeout: leave them out; \
+                          `taut component run --help` shows its options";
                 return Err(Failure::unusable(no));
             }
             if common.is_domain_named() {
