@@ -26,14 +26,23 @@ pub struct Config {
 
 /// Why a file cannot be used.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 pub enum ConfigError {
     /// It cannot be read.
     #[error("{} cannot be read: {source}", path.display())]
-    Read { path: PathBuf, source: std::io::Error },
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
     /// Its content is invalid.
     #[error("{} has {} problem(s):\n{source}", path.display(), source.0.len())]
-    Content { path: PathBuf, source: Problems },
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: Problems,
+    },
 }
 
 impl Config {

@@ -13,20 +13,36 @@ use tautline_transport::{
 
 /// Errors of setting up a node and of publishing. Each message names the object, the limit and the fix.
 #[derive(thiserror::Error)]
-#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 #[non_exhaustive]
 pub enum Error {
     /// A node's, namespace's or topic's name breaks ROS 2's rules.
     #[error("'{name}' is not a valid {kind}: {reason}")]
-    Name { name: String, kind: &'static str, reason: String },
+    Name {
+        /// The name as given.
+        name: String,
+        /// The kind of name.
+        kind: &'static str,
+        /// The rule that it breaks.
+        reason: String,
+    },
     /// An invalid remapping rule.
     #[error(
         "'{rule}' is not a remapping rule: {reason}; write from:=to, [node:]__node:=name or [node:]__ns:=/namespace"
     )]
-    Remap { rule: String, reason: String },
+    Remap {
+        /// The rule as given.
+        rule: String,
+        /// The error.
+        reason: String,
+    },
     /// An argument of the command line.
     #[error("'{argument}' is not understood: {reason}")]
-    Argument { argument: String, reason: String },
+    Argument {
+        /// The argument, with its value.
+        argument: String,
+        /// The error.
+        reason: String,
+    },
     /// A parameter was not declared, read or set, or a parameter file is not understood.
     #[error(transparent)]
     Parameter(Box<ParameterError>),
@@ -41,7 +57,12 @@ pub enum Error {
     ZeroPeriod,
     /// A timer whose period is so short that the sampler would have no time for anything else.
     #[error("a timer cannot have a period of {period:?}: the shortest is {min:?}")]
-    ShortPeriod { period: Duration, min: Duration },
+    ShortPeriod {
+        /// The period.
+        period: Duration,
+        /// The shortest.
+        min: Duration,
+    },
     /// A clock of another type was used as a ROS clock.
     #[error("the clock is not of type RosTime: only that one follows /clock and jumps")]
     ClockTypeNotRosTime,
@@ -49,25 +70,50 @@ pub enum Error {
     #[error(
         "{max} timers and sleeps are on this node's ROS clock already: use another node, or a wall timer"
     )]
-    ClockUsers { max: usize },
+    ClockUsers {
+        /// The maximum.
+        max: usize,
+    },
     /// A callback was requested by name, but the context was built without a system file.
     #[error(
         "callback '{name}' is requested by name, but this context has no system file: give it one with `ContextBuilder::system`"
     )]
-    NoSystem { name: String },
+    NoSystem {
+        /// The callback.
+        name: String,
+    },
     /// No process runs with this system file.
     #[error("no process of domain {domain} runs with {}: start one with it, or name the domain and the path that it was given (`taut report` lists them)", path.display())]
-    NobodyHas { path: PathBuf, domain: u32 },
+    NobodyHas {
+        /// The file.
+        path: PathBuf,
+        /// The domain.
+        domain: u32,
+    },
     /// A process did not apply the new text of its system file.
     #[error("{process} did not apply the new text of {}: {why}{}", path.display(), if *changed { "; processes before it did: correct that, and run it again" } else { "; nothing was changed" })]
-    NotTakenUp { process: String, path: PathBuf, why: String, changed: bool },
+    NotTakenUp {
+        /// The process.
+        process: String,
+        /// The file.
+        path: PathBuf,
+        /// Its reason.
+        why: String,
+        /// Whether other processes have already changed.
+        changed: bool,
+    },
     /// A transform buffer that cannot be created.
     #[cfg(feature = "tf2_msgs")]
     #[error(transparent)]
     TransformLimits(#[from] tautline_tf::LimitsError),
     /// A callback that waits for only one topic.
     #[error("callback '{name}' of {} does not wait for several topics: list them in `all`, in place of `topic`", path.display())]
-    NoJoin { name: String, path: PathBuf },
+    NoJoin {
+        /// The callback.
+        name: String,
+        /// The file.
+        path: PathBuf,
+    },
     /// A second thread tries to become the sampler.
     #[error("another thread spins this context already: a context has one sampler")]
     AlreadySpinning,
@@ -114,26 +160,53 @@ pub enum Error {
     Service(#[from] ServiceError),
     /// A response did not arrive within the time-out of the request.
     #[error("service '{service}': no response within {timeout:?}")]
-    ServiceTimeout { service: String, timeout: Duration },
+    ServiceTimeout {
+        /// The service.
+        service: String,
+        /// The time.
+        timeout: Duration,
+    },
     /// The action's server did not accept a goal.
     #[error("action '{action}': the server rejected the goal")]
-    GoalRejected { action: String },
+    GoalRejected {
+        /// The action.
+        action: String,
+    },
     /// The client has its maximum number of awaited goals. Nothing was sent.
     #[cfg(feature = "action_msgs")]
     #[error(
         "action '{action}': this client waits for {max} goals already: await or drop the result and the feedback of one, or make a second client"
     )]
-    TooManyGoals { action: String, max: usize },
+    TooManyGoals {
+        /// The action.
+        action: String,
+        /// The maximum.
+        max: usize,
+    },
     /// A goal was accepted, but its result cannot be requested.
     #[cfg(feature = "action_msgs")]
     #[error(
         "action '{action}': the goal was accepted, but its result cannot be requested ({source}); {fate}"
     )]
-    GoalUnheard { action: String, fate: String, source: Box<Error> },
+    GoalUnheard {
+        /// The action.
+        action: String,
+        /// What happens to the goal.
+        fate: String,
+        /// The reason.
+        source: Box<Error>,
+    },
     /// The operation is not possible in the goal's state.
     #[cfg(feature = "action_msgs")]
     #[error("action '{action}': goal {goal} is {status}: this is no longer possible, or not yet")]
-    Goal { action: String, goal: String, status: crate::action::GoalStatus },
+    Goal {
+        /// The action.
+        action: String,
+        /// The goal's id.
+        goal: String,
+        /// The state.
+        status: crate::action::GoalStatus,
+    },
     /// The action's server rejected the cancellation and continues with the goal.
     #[error("the action's server rejected the request to cancel the goal")]
     GoalCancelRejected,

@@ -18,14 +18,16 @@ static SCOPE: OnceLock<Result<Option<String>, ScopeError>> = OnceLock::new();
 
 /// Why a scope cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 #[non_exhaustive]
 pub enum ScopeError {
     /// The name is not valid as part of a file name.
     #[error(
         "'{name}' cannot be a scope (TAUT_SCOPE): it has 1 to {MAX_SCOPE_BYTES} letters, digits, '-' and '_'"
     )]
-    Name { name: String },
+    Name {
+        /// The name.
+        name: String,
+    },
     /// The process is already in another scope.
     #[error(
         "this process is already in the scope '{present}', not '{wanted}': set the scope before anything else"
@@ -33,6 +35,7 @@ pub enum ScopeError {
     Fixed {
         /// The present scope; empty for the default scope.
         present: String,
+        /// The requested scope.
         wanted: String,
     },
 }

@@ -24,15 +24,24 @@ pub struct LockFile {
 
 /// Why a file was not locked.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 #[non_exhaustive]
 pub enum LockFileError {
     /// Another process holds the lock.
     #[error("{} is locked by another process", path.display())]
-    Locked { path: PathBuf, pid: Option<u32> },
+    Locked {
+        /// The file.
+        path: PathBuf,
+        /// The other process's id, if it has written it.
+        pid: Option<u32>,
+    },
     /// The file cannot be created or locked.
     #[error("the lock {} cannot be used: {source}; check that /dev/shm exists and is writable", path.display())]
-    File { path: PathBuf, source: io::Error },
+    File {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
 }
 
 impl LockFile {

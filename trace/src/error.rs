@@ -13,16 +13,30 @@ impl From<ShmError> for TraceError {
 
 /// Why tracing is not possible.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 #[non_exhaustive]
 pub enum TraceError {
     /// A file in shared memory could not be created or mapped.
     #[error("the trace file {} cannot be used: {source}; check that /dev/shm exists, is writable and is not full", path.display())]
-    File { path: PathBuf, source: io::Error },
+    File {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
     /// An environment variable has an invalid value.
     #[error("{variable}={value} is not understood: {expected}")]
-    Environment { variable: &'static str, value: String, expected: &'static str },
+    Environment {
+        /// The variable.
+        variable: &'static str,
+        /// Its value.
+        value: String,
+        /// The allowed values.
+        expected: &'static str,
+    },
     /// The domain already has a recorder.
     #[error("domain {domain} is already being recorded: end that `taut trace record` first")]
-    SecondRecorder { domain: u32 },
+    SecondRecorder {
+        /// The domain.
+        domain: u32,
+    },
 }

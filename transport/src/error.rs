@@ -11,18 +11,28 @@ use tautline_msgs::cdr::{DecodeError, EncodeError};
 
 /// Why a participant, a publisher or a subscription could not be created. Each message says what to change.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 #[non_exhaustive]
 pub enum TransportError {
     /// A file in /dev/shm could not be created or mapped.
     #[error("{} cannot be used: {source}{}", path.display(), fix(source))]
-    File { path: PathBuf, source: io::Error },
+    File {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
     /// A file of another process was written by another version.
     #[error("{} is of another version of Tautline: use the same one in all processes of a domain; when none of them runs, the folder it is in may be removed", path.display())]
-    Version { path: PathBuf },
+    Version {
+        /// The file.
+        path: PathBuf,
+    },
     /// The content of another process's file cannot be read.
     #[error("{} is damaged: end its process, or remove the file", path.display())]
-    Damaged { path: PathBuf },
+    Damaged {
+        /// The file.
+        path: PathBuf,
+    },
     /// `TAUT_SCOPE` is not a valid scope.
     #[error(transparent)]
     Scope(#[from] tautline_rt::domain::ScopeError),
@@ -36,46 +46,99 @@ pub enum TransportError {
     #[error(
         "this process was forked from one that had joined domain {domain}, and owns nothing of what that made: create a context (participant) of its own after the fork"
     )]
-    Forked { domain: u32 },
+    Forked {
+        /// The domain.
+        domain: u32,
+    },
     /// The domain is full.
     #[error(
         "domain {domain} already has {limit} participants (contexts), its limit: put nodes together into fewer processes, or use another domain"
     )]
-    Members { domain: u32, limit: usize },
+    Members {
+        /// The domain.
+        domain: u32,
+        /// The limit.
+        limit: usize,
+    },
     /// There is no such domain.
     #[error("domain {domain} does not exist: domains go from 0 to {max}, as in ROS 2")]
-    DomainRange { domain: u32, max: u32 },
+    DomainRange {
+        /// The domain.
+        domain: u32,
+        /// The greatest one.
+        max: u32,
+    },
     /// The name is not a valid node name.
     #[error(
         "'{name}' cannot be a node's name: use letters, digits and '_' in a namespace that begins with '/'"
     )]
-    NodeName { name: String },
+    NodeName {
+        /// The name, with its namespace.
+        name: String,
+    },
     /// The text is not a valid enclave.
     #[error(
         "'{enclave}' cannot be an enclave: use '/', or letters, digits and '_' in a path that begins with '/'"
     )]
-    Enclave { enclave: String },
+    Enclave {
+        /// The text.
+        enclave: String,
+    },
     /// The name is not a valid service name.
     #[error("'{service}' cannot be a service: {reason}")]
-    ServiceName { service: String, reason: &'static str },
+    ServiceName {
+        /// The name.
+        service: String,
+        /// The reason.
+        reason: &'static str,
+    },
     /// The name is not a valid topic name.
     #[error("'{topic}' cannot be a topic name: {reason}")]
-    TopicName { topic: String, reason: String },
+    TopicName {
+        /// The name.
+        topic: String,
+        /// The reason.
+        reason: String,
+    },
     /// The type's name or hash is not valid.
     #[error("topic '{topic}': {reason}")]
-    TopicType { topic: String, reason: String },
+    TopicType {
+        /// The topic.
+        topic: String,
+        /// The reason.
+        reason: String,
+    },
     /// There is not enough shared memory for the samples in flight.
     #[error(
         "{}: {source}: it needs {bytes} bytes of /dev/shm for samples of {sample_bytes} bytes; make /dev/shm larger (mount -o remount,size=), or lower the depth, `Limits::held`, `Limits::loans`, `Limits::spare_bytes` or `Limits::message_bytes`",
         named(topic)
     )]
-    Memory { topic: String, bytes: u64, sample_bytes: usize, source: io::Error },
+    Memory {
+        /// The topic.
+        topic: String,
+        /// How much is needed.
+        bytes: u64,
+        /// Of one sample.
+        sample_bytes: usize,
+        /// The system's error.
+        source: io::Error,
+    },
     /// A limit out of range.
     #[error("{}: {limit} = {requested} is outside 1 to {max}", named(topic))]
-    LimitRange { topic: String, limit: &'static str, requested: usize, max: usize },
+    LimitRange {
+        /// The topic.
+        topic: String,
+        /// The name of the field.
+        limit: &'static str,
+        /// The requested value.
+        requested: usize,
+        /// The greatest value.
+        max: usize,
+    },
     /// A duration of zero, which cannot be met.
     #[error("topic '{topic}': QoS {setting} is zero, which cannot be met; omit it if there is none")]
     ZeroDuration {
+        /// The topic.
         topic: String,
         /// The field of [`Qos`](crate::Qos).
         setting: &'static str,

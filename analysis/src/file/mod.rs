@@ -251,14 +251,23 @@ pub struct CoreEntry {
 
 /// Why a system file could not be used.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 pub enum FileError {
     /// It could not be read.
     #[error("`{}` cannot be read: {source}", path.display())]
-    Read { path: PathBuf, source: std::io::Error },
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
     /// Its content is wrong.
     #[error("`{}` has {} problem(s):\n{source}", path.display(), source.0.len())]
-    Content { path: PathBuf, source: Problems },
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: Problems,
+    },
 }
 
 impl SystemFile {

@@ -9,7 +9,6 @@ use tautline_schema::SchemaError;
 /// Why no code was generated. `Debug`, which is what cargo shows of a `build.rs` that fails, is the message as
 /// well.
 #[derive(thiserror::Error)]
-#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 pub enum Error {
     /// A definition is missing or not valid; with file, line and column.
     #[error(transparent)]
@@ -19,19 +18,38 @@ pub enum Error {
     Generate(#[from] GenerateError),
     /// A folder has no definitions.
     #[error("{folder} has no definitions: it needs to be a package (msg/*.msg, srv/*.srv, action/*.action) or to hold packages", folder = folder.display())]
-    Empty { folder: PathBuf },
+    Empty {
+        /// The folder.
+        folder: PathBuf,
+    },
     /// A package that was asked for is not there.
     #[error("no folder has package {package}: there are {found}")]
-    Missing { package: String, found: String },
+    Missing {
+        /// The package.
+        package: String,
+        /// Those that there are.
+        found: String,
+    },
     /// A `package.xml` does not say how the package is called.
     #[error("{path} has no <name> that a package can have", path = path.display())]
-    Manifest { path: PathBuf },
+    Manifest {
+        /// The file.
+        path: PathBuf,
+    },
     /// A file cannot be read or written.
     #[error("{path}: {source}", path = path.display())]
-    Io { path: PathBuf, source: std::io::Error },
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
     /// This is not run by cargo.
     #[error("{variable} is not set: call this from build.rs, or name the file with `Builder::file`")]
-    NotCargo { variable: &'static str },
+    NotCargo {
+        /// What cargo sets.
+        variable: &'static str,
+    },
 }
 
 impl fmt::Debug for Error {

@@ -4,7 +4,6 @@ use tautline_schema::SchemaError;
 
 /// Why no code was generated.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 pub enum GenerateError {
     /// A definition is missing or not valid.
     #[error(transparent)]
@@ -13,8 +12,20 @@ pub enum GenerateError {
     #[error(
         "`{type_name}` has field `{field}` of package {package}, which is not generated: add {package} to the packages, or say with `Options::external` where it is"
     )]
-    Package { type_name: String, field: String, package: String },
+    Package {
+        /// The type.
+        type_name: String,
+        /// Its field.
+        field: String,
+        /// The package of the field's type.
+        package: String,
+    },
     /// No folder has definitions of a package.
     #[error("package {package} has no definitions in {searched}: add the folder that has them")]
-    Empty { package: String, searched: String },
+    Empty {
+        /// The package.
+        package: String,
+        /// The folders.
+        searched: String,
+    },
 }

@@ -18,20 +18,35 @@ pub type EncodeError = FieldError<EncodeFault>;
 
 /// Why a value cannot be encoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 pub enum EncodeFault {
     /// A sequence has more elements, or a string more characters, than the definition allows.
     #[error("its length is {len} but at most {bound} are allowed: shorten it")]
-    Bound { len: usize, bound: usize },
+    Bound {
+        /// The length.
+        len: usize,
+        /// The greatest length allowed.
+        bound: usize,
+    },
     /// A length does not fit into 32 bits.
     #[error("its length {len} does not fit into the 32 bits that CDR has for it: split it")]
-    Length { len: usize },
+    Length {
+        /// The length.
+        len: usize,
+    },
     /// The memory starts at an address at which numbers cannot be written in place.
     #[error("the memory does not start at a multiple of {align} bytes: align it")]
-    Alignment { align: usize },
+    Alignment {
+        /// In bytes.
+        align: usize,
+    },
     /// The buffer is too short.
     #[error("the buffer of {len} bytes ends before byte {needed}: make it as long as `cdr_len` says")]
-    Room { needed: usize, len: usize },
+    Room {
+        /// The bytes needed up to the end of this field.
+        needed: usize,
+        /// The bytes there are.
+        len: usize,
+    },
 }
 
 /// Why bytes are not a message of a type. Holds no heap memory.
@@ -64,7 +79,6 @@ impl Fault {
 
 /// Why bytes are not a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 pub enum DecodeFault {
     /// The bytes do not start with an encapsulation header that can be read.
     #[error(
@@ -76,10 +90,20 @@ pub enum DecodeFault {
     },
     /// The bytes end too early.
     #[error("{needed} bytes are needed but {left} are left: the message is cut off, or of another type")]
-    End { needed: usize, left: usize },
+    End {
+        /// The bytes that are needed.
+        needed: usize,
+        /// The bytes that are left.
+        left: usize,
+    },
     /// A sequence or string is longer than its bound.
     #[error("its length is {len} but at most {bound} are allowed: its publisher uses another definition")]
-    Bound { len: usize, bound: usize },
+    Bound {
+        /// The length found.
+        len: usize,
+        /// The greatest length allowed.
+        bound: usize,
+    },
     /// A string is not UTF-8, or a `wstring` not UTF-16.
     #[error("its text is not valid Unicode: its publisher wrote other bytes into a string")]
     Unicode,
@@ -88,10 +112,14 @@ pub enum DecodeFault {
     Terminator,
     /// A `bool` is neither 0 nor 1.
     #[error("{value} is not a bool: the message is of another type")]
-    Bool { value: u8 },
+    Bool {
+        /// The number found.
+        value: u8,
+    },
     /// A number that no value of an enum or `char` has.
     #[error("{value} is not a `{type_name}`: the message is of another type")]
     Value {
+        /// The number found.
         value: i64,
         /// `char`, or the enum's name.
         type_name: &'static &'static str,
@@ -103,12 +131,16 @@ pub enum DecodeFault {
     #[error(
         "the body does not start at a multiple of {align} bytes: copy it to one that does, or decode it into an owned message"
     )]
-    Alignment { align: usize },
+    Alignment {
+        /// In bytes.
+        align: usize,
+    },
     /// More bytes follow the last field than alignment explains.
     #[error(
         "{len} bytes follow the last field, where at most {most} can be padding: the message is of another type"
     )]
     Trailing {
+        /// How many.
         len: usize,
         /// How many may, given the empty sequences and the `wstring`s in the message.
         most: usize,

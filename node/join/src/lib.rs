@@ -55,7 +55,6 @@ pub const MAX_INPUTS: usize = 9;
 
 /// Why a join cannot be created.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 #[non_exhaustive]
 pub enum JoinError {
     /// A queue without room.
@@ -69,7 +68,14 @@ pub enum JoinError {
          the callback's hands): raise `Limits::held` to {needed} before it is made (`Node::set_topic_limits`), or lower \
          the queue size, if it has one"
     )]
-    Room { input: String, room: usize, needed: usize },
+    Room {
+        /// Its name.
+        input: String,
+        /// How many items it may hold.
+        room: usize,
+        /// How many items it must hold.
+        needed: usize,
+    },
 }
 
 /// The inputs can hold what a join keeps of each, besides one that arrives and one that the callback has.

@@ -103,14 +103,16 @@ impl DerefMut for ManagedNode {
 
 /// Why a managed node did not start a transition.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 pub enum LifecycleError {
     /// The transition does not start in the node's state.
     #[error(transparent)]
     InvalidTransition(#[from] InvalidTransition),
     /// The callback of another transition is running.
     #[error("the node is in state '{state}', a transition state: try again when its callback has returned")]
-    Busy { state: State },
+    Busy {
+        /// The transition state, which lasts as long as the callback.
+        state: State,
+    },
 }
 
 /// The result of a transition.

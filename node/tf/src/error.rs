@@ -50,93 +50,158 @@ impl fmt::Debug for NamedFrame {
 /// Why there is no transform from `source` to `target`. The kinds are those of tf2, and the additional ones
 /// of a bounded buffer.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 pub enum LookupError {
     /// It is not a valid frame name. tf2: `InvalidArgumentException`.
     #[error(
         "'{name}' is not a frame name: use one of 1 to {} bytes without a zero byte",
         FrameName::MAX_BYTES
     )]
-    InvalidArgument { name: FrameName },
+    InvalidArgument {
+        /// The name, truncated if it is too long.
+        name: FrameName,
+    },
     /// No transform was set with this name. tf2: `LookupException`.
     #[error(
         "frame '{frame}' does not exist: no transform has named it as parent or child. Check its spelling, or wait for it (Buffer::wait_for)"
     )]
-    Lookup { frame: FrameName },
+    Lookup {
+        /// The frame.
+        frame: FrameName,
+    },
     /// Both frames exist, but in two trees. tf2: `ConnectivityException`.
     #[error(
         "no transform from '{source_frame}' to '{target}': they are not in one tree. See Buffer::frames for the parents, and who should broadcast the missing one"
     )]
-    Connectivity { target: NamedFrame, source_frame: NamedFrame },
+    Connectivity {
+        /// The target frame.
+        target: NamedFrame,
+        /// The source frame.
+        source_frame: NamedFrame,
+    },
     /// A frame on the path has no samples around the requested time. tf2: `ExtrapolationException`.
     #[error("no transform from '{source_frame}' to '{target}' at {}: {}", Seconds(*.asked_ns), Span(.frame, *.asked_ns, *.oldest_ns, *.newest_ns))]
     Extrapolation {
+        /// The target frame.
         target: NamedFrame,
+        /// The source frame.
         source_frame: NamedFrame,
+        /// The frame on the path.
         frame: NamedFrame,
+        /// The requested time.
         asked_ns: i64,
+        /// Its oldest stamp.
         oldest_ns: i64,
+        /// Its newest stamp.
         newest_ns: i64,
     },
     /// A frame is its own ancestor.
     #[error(
         "no transform from '{source_frame}' to '{target}': the tree has a cycle through '{frame}'. Two broadcasters disagree about a frame's parent: see Buffer::frames"
     )]
-    Cycle { target: NamedFrame, source_frame: NamedFrame, frame: NamedFrame },
+    Cycle {
+        /// The target frame.
+        target: NamedFrame,
+        /// The source frame.
+        source_frame: NamedFrame,
+        /// A frame of the cycle.
+        frame: NamedFrame,
+    },
     /// There are more than [`MAX_DEPTH`] transforms between a frame and its root.
     #[error(
         "no transform from '{source_frame}' to '{target}': more than {MAX_DEPTH} transforms to the root (MAX_DEPTH). Join fixed frames into one static transform"
     )]
-    TooDeep { target: NamedFrame, source_frame: NamedFrame },
+    TooDeep {
+        /// The target frame.
+        target: NamedFrame,
+        /// The source frame.
+        source_frame: NamedFrame,
+    },
     /// Each of several lookups was interrupted by whole rings of new samples, or by a `clear`.
     #[error(
         "no transform from '{source_frame}' to '{target}': it was overwritten while being read. Raise Limits::samples or the reader's priority, or ask again"
     )]
-    Overtaken { target: NamedFrame, source_frame: NamedFrame },
+    Overtaken {
+        /// The target frame.
+        target: NamedFrame,
+        /// The source frame.
+        source_frame: NamedFrame,
+    },
 }
 
 /// Why a wait ended without a transform.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 pub enum WaitError {
     /// The transform does not exist and can no longer be set.
     #[error(transparent)]
     Lookup(#[from] LookupError),
     /// The maximum number of futures is waiting.
     #[error("{waiters} futures wait for transforms already: raise Limits::waiters")]
-    WaitersFull { waiters: usize },
+    WaitersFull {
+        /// The limit.
+        waiters: usize,
+    },
 }
 
 /// Why a transform was not accepted. Only a counter has changed.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 pub enum SetError {
     /// It is not a valid frame name (TF_NO_FRAME_ID, TF_NO_CHILD_FRAME_ID).
     #[error(
         "'{name}' is not a frame name: use one of 1 to {} bytes without a zero byte",
         FrameName::MAX_BYTES
     )]
-    InvalidName { name: FrameName },
+    InvalidName {
+        /// The name, truncated if it is too long.
+        name: FrameName,
+    },
     /// Parent and child are the same (TF_SELF_TRANSFORM).
     #[error("frame '{frame}' cannot be its own parent: name another parent or child")]
-    SelfTransform { frame: FrameName },
+    SelfTransform {
+        /// The frame.
+        frame: FrameName,
+    },
     /// A number is infinite or NaN (TF_NAN_INPUT).
     #[error("the transform of '{child}' has a number that is not finite: check what computes it")]
-    NotFinite { child: FrameName },
+    NotFinite {
+        /// The frame.
+        child: FrameName,
+    },
     /// The rotation's length is not 1 (TF_DENORMALIZED_QUATERNION).
     #[error(
         "the rotation of '{child}' has the squared length {squared_length}, which is off 1 by 0.01 or more: normalise it"
     )]
-    Denormalized { child: FrameName, squared_length: f64 },
+    Denormalized {
+        /// The frame.
+        child: FrameName,
+        /// The squared length.
+        squared_length: f64,
+    },
     /// It is older than the kept samples (TF_OLD_DATA).
     #[error("the transform of '{child}' at {} is too old: only samples after {} are kept. Send it sooner, or raise Limits::cache_time and Limits::samples; after time was set back, call Writer::clear", Seconds(*.stamp_ns), Seconds(*.above_ns))]
-    Old { child: FrameName, stamp_ns: i64, above_ns: i64 },
+    Old {
+        /// The frame.
+        child: FrameName,
+        /// Its stamp.
+        stamp_ns: i64,
+        /// Only later stamps than this one are accepted.
+        above_ns: i64,
+    },
     /// There is already a sample with this stamp (TF_REPEATED_DATA).
     #[error("there is a transform of '{child}' at {} already: the first one stays. Let one broadcaster send it, once per stamp", Seconds(*.stamp_ns))]
-    Repeated { child: FrameName, stamp_ns: i64 },
+    Repeated {
+        /// The frame.
+        child: FrameName,
+        /// Its stamp.
+        stamp_ns: i64,
+    },
     /// There is no room for another name.
     #[error("no room for frame '{frame}' beside {frames} others: raise Limits::frames")]
-    FramesFull { frame: FrameName, frames: usize },
+    FramesFull {
+        /// The frame.
+        frame: FrameName,
+        /// The limit.
+        frames: usize,
+    },
 }
 
 /// Nanoseconds as seconds, exactly.

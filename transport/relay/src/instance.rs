@@ -28,7 +28,6 @@ pub struct Instance {
 
 /// Why the lock of an instance was not taken.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 #[non_exhaustive]
 pub enum InstanceError {
     /// Another one holds it.
@@ -38,13 +37,28 @@ pub enum InstanceError {
         instance.name,
         holder(*.pid)
     )]
-    Taken { instance: Instance, pid: Option<u32> },
+    Taken {
+        /// The instance.
+        instance: Instance,
+        /// Process id of the holder, if it wrote it.
+        pid: Option<u32>,
+    },
     /// The folder cannot be created.
     #[error("lock of the {}: {source}; check that /dev/shm exists and is writable", instance.name)]
-    Folder { instance: Instance, source: shm::ShmError },
+    Folder {
+        /// The instance.
+        instance: Instance,
+        /// The cause.
+        source: shm::ShmError,
+    },
     /// The file cannot be created or locked.
     #[error("lock of the {}: {source}", instance.name)]
-    File { instance: Instance, source: tautline_rt::LockFileError },
+    File {
+        /// The instance.
+        instance: Instance,
+        /// The cause.
+        source: tautline_rt::LockFileError,
+    },
 }
 
 fn holder(pid: Option<u32>) -> String {

@@ -26,7 +26,6 @@ use zenoh::{Session, Wait};
 
 /// Why a gateway could not start.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 #[non_exhaustive]
 pub enum GatewayError {
     /// Another gateway runs, or the lock file failed.
@@ -49,7 +48,12 @@ pub enum GatewayError {
     Definitions(Box<SchemaError>),
     /// A Zenoh call failed.
     #[error("{what} failed in Zenoh: {reason}")]
-    Zenoh { what: &'static str, reason: String },
+    Zenoh {
+        /// The step.
+        what: &'static str,
+        /// Zenoh's error.
+        reason: String,
+    },
 }
 
 impl From<RelayError> for GatewayError {

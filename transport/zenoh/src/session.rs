@@ -12,7 +12,6 @@ use zenoh::{Session, Wait};
 
 /// Why the session could not open.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 #[non_exhaustive]
 pub enum SessionError {
     /// The opening thread could not get its priority.
@@ -20,10 +19,20 @@ pub enum SessionError {
     Threads(#[from] RtError),
     /// Zenoh failed.
     #[error("Zenoh does not start: {reason}; listening on {listen:?}")]
-    Open { reason: String, listen: Vec<String> },
+    Open {
+        /// Zenoh's error.
+        reason: String,
+        /// The endpoints to listen on.
+        listen: Vec<String>,
+    },
     /// The socket may be open to other users.
     #[error("{} cannot be given mode 600, so that only this user reaches it: {source}", path.display())]
-    Socket { path: PathBuf, source: io::Error },
+    Socket {
+        /// Its path.
+        path: PathBuf,
+        /// The system's error.
+        source: io::Error,
+    },
 }
 
 /// Opens a session whose threads have `policy`.

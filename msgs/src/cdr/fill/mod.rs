@@ -137,14 +137,18 @@ pub type WriteError = FieldError<WriteFault>;
 
 /// What is wrong with a message that is written in place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs, reason = "the message of a variant says what its fields are")]
 pub enum WriteFault {
     /// A field was not written.
     #[error("it was not set: set it, or give the rest its defaults with `default_rest`")]
     Unset,
     /// A text or list does not have the length that was stated.
     #[error("its length is {len}, but {stated} was stated in the sizes: state the one it has")]
-    Length { len: usize, stated: usize },
+    Length {
+        /// The length given.
+        len: usize,
+        /// The one stated before.
+        stated: usize,
+    },
     /// The elements of a list were written before, one by one or by `default_rest`.
     #[error("its elements were written before: set them once, and the rest with `default_rest` after them")]
     Again,
