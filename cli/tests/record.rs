@@ -462,10 +462,16 @@ fn a_recording_is_thinned_out_and_paused() {
     recorder.signal("-USR1");
     sleep_until_monotonic(monotonic_ns() + 200_000_000);
     let start_ns = monotonic_ns();
+    // What comes in time to be kept: a machine that has no time lets some come late, and then at once.
+    let (mut due_ns, mut at_least) = (0, 0.0);
     for n in 0..1000 {
         sleep_until_monotonic(start_ns + n * 1_000_000);
         all.publish(&Count { n: n + 2 }).unwrap();
+        let now_ns = monotonic_ns();
         some.publish(&Count { n: n + 2 }).unwrap();
+        if now_ns > due_ns {
+            (due_ns, at_least) = (monotonic_ns() + 10_000_000, at_least + 1.0);
+        }
     }
     let seconds = (monotonic_ns() - start_ns) as f64 / 1e9;
     let (code, out, errors) = recorder.end();
@@ -473,7 +479,7 @@ fn a_recording_is_thinned_out_and_paused() {
     let topics = place.read();
     assert_eq!(numbers(&topics["/all"]), (2..1002).collect::<Vec<_>>());
     let kept = topics["/some"].len() as f64;
-    assert!(kept <= 100.0 * seconds + 2.0 && kept >= 90.0, "{kept} in {seconds} s");
+    assert!((at_least..=100.0 * seconds + 2.0).contains(&kept), "{kept} of {at_least} in {seconds} s");
     let report: Value = serde_json::from_str(&out).unwrap();
     let some = report["topics"].as_array().unwrap().iter().find(|topic| topic["topic"] == "/some").unwrap();
     assert_eq!((&some["paused"], &some["throttled"]), (&1.into(), &(1000 - kept as u64).into()));

@@ -24,6 +24,7 @@ use tautline::lifecycle_msgs::srv::GetAvailableTransitions;
 use tautline::rcl_interfaces::srv::ListParameters;
 use tautline_definitions::find_schema;
 use tautline_msgs::Service;
+use tautline_rt::clock::test_time;
 use tautline_schema::{Kind, TypeName};
 use tautline_transport::{ServiceKind, graph_of};
 
@@ -47,7 +48,7 @@ fn offered(find: Find, word: &OsStr) -> Option<Vec<CompletionCandidate>> {
     let (tell, told) = mpsc::channel();
     let typed = word.to_owned();
     thread::spawn(move || tell.send(find(asked, &typed)));
-    let names = told.recv_timeout(LIMIT.saturating_sub(asked.since.elapsed())).ok()?.ok()??;
+    let names = told.recv_timeout(test_time(LIMIT).saturating_sub(asked.since.elapsed())).ok()?.ok()??;
     let candidate = |(name, of_type): (String, String)| {
         if !asked.shell_takes(&name) {
             return None;
@@ -250,7 +251,7 @@ pub fn interfaces() -> ArgValueCompleter {
 fn answer<T: Service>(asked: &Asked, node: &str, service: &str, request: T::Request) -> Found<T::Response> {
     let Some(domain) = asked.line.domain() else { return Ok(None) };
     let node = node_serving(domain, node, service, "")?;
-    let mut caller = Caller::new(domain, End::at(asked.since + PATIENCE)?)?;
+    let mut caller = Caller::new(domain, End::at(asked.since + test_time(PATIENCE))?)?;
     caller.call::<T>(&format!("{node}/{service}"), request).map(Some)
 }
 
