@@ -254,7 +254,14 @@ fn package(architecture: Architecture, image: &mut Image) -> io::Result<String> 
     for distribution in Distribution::value_variants() {
         ros::choose(*distribution);
         let distribution = ros::distribution();
-        let deb = unpack_deb(&format!("ros-{distribution}-rmw-tautline"), "rmw-deb", architecture)?;
+        let package = format!("ros-{distribution}-rmw-tautline");
+        if !deb(&package, architecture).is_file() {
+            println!(
+                "no {package}: `cargo xtask dist --only rmw-deb --architecture {architecture}` makes it"
+            );
+            continue;
+        }
+        let deb = unpack_deb(&package, "rmw-deb", architecture)?;
         let library = deb.join("opt/ros").join(&distribution).join("lib/librmw_tautline.so");
         for (name, path) in rmw::cross::loaded(&library, architecture).map_err(io::Error::other)? {
             image.file(&format!("{distribution}/{name}"), &fs::read(path)?)?;
@@ -264,10 +271,15 @@ fn package(architecture: Architecture, image: &mut Image) -> io::Result<String> 
     Ok(jobs)
 }
 
-/// What is in a package that `cargo xtask dist` has made.
-fn unpack_deb(package: &str, part: &str, architecture: Architecture) -> io::Result<PathBuf> {
+/// A package that `cargo xtask dist` makes.
+fn deb(package: &str, architecture: Architecture) -> PathBuf {
     let name = format!("{package}_{}_{architecture}.deb", env!("CARGO_PKG_VERSION"));
-    let (deb, to) = (machine::target_dir().join("dist").join(name), debian::folder().join("package"));
+    machine::target_dir().join("dist").join(name)
+}
+
+/// What is in it.
+fn unpack_deb(package: &str, part: &str, architecture: Architecture) -> io::Result<PathBuf> {
+    let (deb, to) = (deb(package, architecture), debian::folder().join("package"));
     let _ = fs::remove_dir_all(&to);
     steps::execute(Command::new("dpkg").arg("-x").args([&deb, &to])).map_err(|reason| {
         let make = format!("cargo xtask dist --only {part} --architecture {architecture}");
