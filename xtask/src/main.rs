@@ -232,7 +232,7 @@ minutes to build."
   cargo xtask guests                          all, an hour: for aarch64 everything is built once more
   cargo xtask guests --only rt-x86 --quick    what CI runs, some minutes
   cargo xtask guests --only arm64-16k
-  cargo xtask guests --only arm64 --packages  the programs of `cargo xtask dist --architecture arm64`
+  cargo xtask guests --only arm64 --packages  what `cargo xtask dist --architecture arm64` has made
 
 QEMU emulates them (Debian: qemu-system-x86, qemu-system-arm; for aarch64 also gcc-aarch64-linux-gnu);
 kernels are Debian's, fetched with apt-get. It shows that programs work there, not how fast, nor that
@@ -244,7 +244,7 @@ they get by with ARM's weak memory order.")]
         /// Only what depends most on the kernel
         #[arg(long)]
         quick: bool,
-        /// Instead of tests, start the programs of the `.deb` that `cargo xtask dist` has made
+        /// Instead of tests, start the programs of the `.deb`s that `cargo xtask dist` has made, and load rmw_tautline
         #[arg(long, conflicts_with = "quick")]
         packages: bool,
     },
@@ -253,7 +253,7 @@ they get by with ARM's weak memory order.")]
   cargo xtask dist                     all, some minutes
   cargo xtask dist --only tarball,deb
   cargo xtask dist --architecture arm64   tarball, .deb and wheel for Raspberry Pi 5 and others
-  cargo xtask dist --distro kilted     rmw_tautline's .deb for Kilted
+  cargo xtask dist --architecture arm64 --only rmw-deb   rmw_tautline's .deb, for Jazzy and for Kilted
   cargo xtask dist --only crates       also checks that all published crates build without this repository
 
 Wheels need Python 3.11 and PyPI, the SBOM a tool that is built in a minute. Each file names a glibc of 2.35 at most, or it is refused.")]
@@ -267,8 +267,9 @@ Wheels need Python 3.11 and PyPI, the SBOM a tool that is built in a minute. Eac
         /// Build the programs of the last commit once more in another folder, and compare their bytes
         #[arg(long, conflicts_with = "architecture")]
         verify: bool,
-        #[command(flatten)]
-        ros: Ros,
+        /// rmw_tautline for this ROS 2 alone [default: a `.deb` for each, a wheel for Jazzy]
+        #[arg(long, value_enum)]
+        distro: Option<ros::Distribution>,
     },
     /// Checks that all is committed, has one version and a section in the changelog; makes the packages and tags the commit, here alone
     Release {
@@ -378,10 +379,9 @@ fn main() -> ExitCode {
             };
             guests::run(steps, &only, extent);
         }),
-        Verb::Dist { only, architecture, verify, ros: Ros { distro } } => as_steps(|steps| {
-            ros::choose(distro);
+        Verb::Dist { only, architecture, verify, distro } => as_steps(|steps| {
             let architecture = architecture.unwrap_or_else(guests::Architecture::here);
-            dist::run(steps, &only, architecture, verify);
+            dist::run(steps, &only, architecture, verify, distro);
         }),
         Verb::Release { dry_run } => as_steps(|steps| release::run(steps, dry_run)),
         Verb::Versions => as_steps(|steps| _ = steps.step("versions", release::beside_another_version)),

@@ -5,8 +5,9 @@
 //! run. A block with a file's name after its language, as `python,talker.py`, becomes that file.
 
 use crate::steps::{Outcome, Steps, execute};
-use crate::{machine, ros};
+use crate::{machine, packages, ros};
 use std::fs;
+use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use std::process::Command;
 
@@ -21,15 +22,20 @@ const PAGES: [&str; 8] = [
     "docs/from-r2r.md",
 ];
 
-/// Pages after whose commands more is tried: one has installed both wheels and written nodes, the others wheels or the `.deb`.
-const WITH_MORE: [(&str, &str); 3] = [
-    ("docs/from-rclpy.md", "xtask/src/dist/refused.sh"),
-    ("docs/start.md", "xtask/src/dist/installed.sh"),
-    ("docs/rmw.md", "xtask/src/dist/installed_rmw.sh"),
+/// Pages after whose commands more is tried: one has installed both wheels and written nodes, the others wheels or the `.deb`. The last two install
+/// packages of Debian's.
+const WITH_MORE: [(&str, &str, bool); 3] = [
+    ("docs/from-rclpy.md", "xtask/src/dist/refused.sh", false),
+    ("docs/start.md", "xtask/src/dist/installed.sh", true),
+    ("docs/rmw.md", "xtask/src/dist/installed_rmw.sh", true),
 ];
 
+/// Of commands that are run where packages of Debian's can be installed.
+const APT: (&str, &str) = ("apt", "only root installs packages of Debian's");
+
 /// Why commands are not run there.
-const REASONS: [(&str, &str); 5] = [
+const REASONS: [(&str, &str); 6] = [
+    APT,
     ("cargo", "a Rust toolchain builds it in minutes; other steps of CI build the same"),
     ("docker", "there is no Docker"),
     ("hosts", "there is one host"),
@@ -50,12 +56,13 @@ struct Block {
 
 impl Block {
     /// What is to be run or written, in the shell's words; else why it is not run; nothing for what is only to be read.
-    fn script(&self, page: &str) -> Result<String, String> {
+    fn script(&self, page: &str, has_apt: bool) -> Result<String, String> {
         let Block { line, note, text, .. } = self;
         if note.contains('.') {
             return Ok(format!("cat > {note} <<'END OF FILE'\n{text}END OF FILE\n"));
         }
-        match (self.language.as_str(), REASONS.iter().find(|(reason, _)| reason == note)) {
+        let is_left_out = |(reason, _): &&(&str, &str)| reason == note && !(has_apt && *reason == APT.0);
+        match (self.language.as_str(), REASONS.iter().find(is_left_out)) {
             ("sh", None) => {
                 let quoted = text.replace('\'', r"'\''");
                 Ok(format!("say '{page}:{line}\n{quoted}'\n{text}"))
@@ -67,6 +74,12 @@ impl Block {
             _ => Ok(String::new()),
         }
     }
+}
+
+/// Whether packages of Debian's can be installed: in CI they must be.
+fn has_apt() -> bool {
+    let is_root = fs::metadata("/proc/self").is_ok_and(|own| own.uid() == 0);
+    machine::is_ci() || is_root && packages::runs("apt-get", &["--version"])
 }
 
 /// Runs each page, with these packages.
@@ -86,9 +99,9 @@ fn run(page: &str, packages: &Path) -> Result<(), String> {
     let mut script = String::from(
         "begin=$(date +%s%N)\nsay() { echo; echo \"$(( ($(date +%s%N) - begin) / 1000000 )) ms: $*\"; }\n",
     );
-    let mut is_run = false;
+    let (mut is_run, has_apt) = (false, has_apt());
     for block in blocks(&text) {
-        match block.script(page) {
+        match block.script(page, has_apt) {
             Ok(part) => {
                 is_run |= block.language == "sh";
                 script += &part;
@@ -99,8 +112,10 @@ fn run(page: &str, packages: &Path) -> Result<(), String> {
     if !is_run {
         return Ok(());
     }
-    if let Some((_, more)) = WITH_MORE.iter().find(|(of, _)| *of == page) {
-        script += &read(more)?;
+    match WITH_MORE.iter().find(|(of, ..)| *of == page) {
+        Some((_, more, true)) if !has_apt => println!("{more} is not run, {}", APT.1),
+        Some((_, more, _)) => script += &read(more)?,
+        None => {}
     }
     script += "say done\n";
     let (work, bare) = (packages.join("work"), machine::target_dir().join("bare"));
@@ -193,7 +208,7 @@ fn main() {}
 
     #[test]
     fn commands_are_run_files_are_written_and_what_is_left_out_is_named() {
-        let scripts: Vec<_> = blocks(PAGE).iter().map(|block| block.script("a.md")).collect();
+        let scripts: Vec<_> = blocks(PAGE).iter().map(|block| block.script("a.md", true)).collect();
         let expected = [
             Ok("say 'a.md:3\npip install '\\''taut'\\''\n'\npip install 'taut'\n"),
             Ok("cat > talker.py <<'END OF FILE'\nif True:\n    pass\nEND OF FILE\n"),
@@ -204,6 +219,9 @@ fn main() {}
         ];
         assert_eq!(scripts, expected.map(|one| one.map(str::to_owned).map_err(str::to_owned)));
         assert_eq!(faults("a.md", PAGE), Vec::<String>::new());
+        let installs = &blocks("```sh,apt\nsudo apt install a\n```\n")[0];
+        assert!(installs.script("a.md", true).is_ok_and(|script| script.ends_with("sudo apt install a\n")));
+        assert!(installs.script("a.md", false).is_err_and(|why| why.contains("only root installs")));
     }
 
     #[test]

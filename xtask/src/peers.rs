@@ -21,23 +21,28 @@ pub fn build_and_test(steps: &mut Steps) {
     steps.command("gateway", &mut lints::cargo("build -p tautline-gateway"));
     steps.step("peers: zenoh-ros2-sdk", prepare);
     test(steps);
-    rmw_zenoh(steps);
+    nodes_of_ros(steps);
 }
 
-/// The RMW's tests with the rmw_zenoh_cpp that `TAUT_RMW_ZENOH` names, or that of the ROS 2 that is sourced.
-fn rmw_zenoh(steps: &mut Steps) {
+/// The RMW's tests with zenoh-ros2-sdk, and with the rmw_zenoh_cpp that `TAUT_RMW_ZENOH` names, or that of the ROS 2 that is sourced.
+fn nodes_of_ros(steps: &mut Steps) {
     const NAME: &str = "peers: rmw_zenoh_cpp";
+    let name = ros::step("peers: rmw_tautline");
+    let Some(environment) = r2r::environment_of(steps, &name) else { return };
+    let mut library = lints::cargo(&format!("build {}", rmw::WHOLE));
+    steps.command(&format!("{name}: build"), bridge::with_libraries(&environment, &mut library));
+    let mut test = |name: &str, test: &str| {
+        let mut tests = lints::cargo(&bridge::nextest(&format!("{} --test {test}", rmw::WHOLE)));
+        steps.command(name, bridge::with_libraries(&environment, &mut tests));
+    };
+    test(&name, "peers");
     let prefixes = std::env::var_os("AMENT_PREFIX_PATH").unwrap_or_default();
     let sourced = std::env::split_paths(&prefixes).map(|prefix| prefix.join("lib/librmw_zenoh_cpp.so"));
     let named = std::env::var_os("TAUT_RMW_ZENOH").map(PathBuf::from);
     if !named.into_iter().chain(sourced).any(|library| library.is_file()) {
         return steps.skip(NAME, "no ROS 2 that is sourced has its library, and TAUT_RMW_ZENOH names none");
     }
-    let Some(environment) = r2r::environment_of(steps, NAME) else { return };
-    let mut library = lints::cargo(&format!("build {}", rmw::WHOLE));
-    steps.command("peers: rmw_tautline", bridge::with_libraries(&environment, &mut library));
-    let mut tests = lints::cargo(&bridge::nextest(&format!("{} --test zenoh", rmw::WHOLE)));
-    steps.command(NAME, bridge::with_libraries(&environment, &mut tests));
+    test(NAME, "zenoh");
 }
 
 /// Runs the tests and an example in the environment of [`prepare`], with the gateway and the examples of the tests' build.

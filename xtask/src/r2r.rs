@@ -86,7 +86,7 @@ pub fn prefix() -> Result<PathBuf, String> {
 }
 
 /// The wheels' files in the layout of an installed ROS 2.
-fn wheels() -> Result<PathBuf, String> {
+pub fn wheels() -> Result<PathBuf, String> {
     ros::prepare()?;
     let prefix = ros::folder().join("prefix");
     make_prefix(&ros::venv(), &prefix).map_err(|error| format!("{}: {error}", prefix.display()))?;

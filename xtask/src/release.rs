@@ -20,10 +20,12 @@ pub fn run(steps: &mut Steps, dry_run: bool) {
     let tag = format!("v{VERSION}");
     steps.step("release: tree", clean_tree);
     steps.step("release: version", || one_version(&tag));
-    let mut notes = String::new();
+    let (mut notes, mut dated) = (String::new(), None);
     steps.step("release: changelog", || {
         let text = read("CHANGELOG.md")?;
-        notes = section(&text, VERSION)?.to_owned();
+        let day = Command::new("date").args(["-u", "+%F"]).output().map_err(|error| error.to_string())?;
+        dated = with_day(&text, VERSION, String::from_utf8_lossy(&day.stdout).trim());
+        notes = section(dated.as_deref().unwrap_or(&text), VERSION)?.to_owned();
         Ok::<(), String>(())
     });
     // Before the first release there is nothing to compare with.
@@ -31,16 +33,28 @@ pub fn run(steps: &mut Steps, dry_run: bool) {
         steps.step("release: semver", || semver(true));
         steps.step("release: versions", beside_another_version);
     }
-    let then = format!("git push origin {tag}, and publish what is in the target directory's `dist`");
+    let then = format!(
+        "git push origin HEAD {tag}; `cargo publish` the crates, and publish what is in the target directory's `dist`"
+    );
     if !dry_run && steps.are_all_ok() {
-        dist::run(steps, &[], Architecture::here(), true);
+        // What was interrupted goes on with it.
+        if let Some(text) = &dated {
+            steps.step("release: day", || {
+                fs::write(machine::root().join("CHANGELOG.md"), text).map_err(|error| error.to_string())?;
+                execute(git("commit --quiet CHANGELOG.md").args(["--message", &format!("Release {VERSION}")]))
+            });
+        }
+        if steps.are_all_ok() {
+            dist::run(steps, &[], Architecture::here(), true, None);
+        }
     }
     if !steps.are_all_ok() {
         return steps.skip("release: tag", "a step before it was not ok");
     }
     if dry_run {
+        let day = if dated.is_some() { "commit CHANGELOG.md with the day, " } else { "" };
         return println!(
-            "\nIt would run `cargo xtask dist --verify`, and tag {tag} with this:\n\n{notes}\n\nThen: {then}"
+            "\nIt would {day}run `cargo xtask dist --verify`, and tag {tag} with this:\n\n{notes}\n\nThen: {then}"
         );
     }
     let mut command = git("tag --annotate --cleanup=verbatim");
@@ -53,13 +67,16 @@ pub fn run(steps: &mut Steps, dry_run: bool) {
 /// of another. The tool takes minutes to build, and no registry has it built: CI uses it where it is there, `is_made` makes it.
 pub fn semver(is_made: bool) -> Outcome {
     let Some(tag) = last_tag() else {
-        return Outcome::Skipped("there is no tag v* to compare with (git fetch --tags)".to_owned());
+        let reason = "nothing was released yet: there is no tag v* to compare with (`git fetch --tags`, if there should be one)";
+        return Outcome::Skipped(reason.to_owned());
     };
     let root = machine::target_dir().join("tools");
     let tool = root.join("bin/cargo-semver-checks");
     if machine::cargo_has("semver-checks --version").is_err() && !tool.is_file() {
         if !is_made {
-            return Outcome::Skipped("`cargo xtask semver` builds what compares, in minutes".to_owned());
+            let reason =
+                format!("to compare with {tag}, `cargo xtask semver` builds cargo-semver-checks, in minutes");
+            return Outcome::Skipped(reason);
         }
         let install = "install --quiet --debug --locked cargo-semver-checks --version 0.51.0";
         if let Err(reason) = execute(cargo(install).arg("--root").arg(&root)) {
@@ -189,6 +206,12 @@ fn versions(manifest: &str) -> impl Iterator<Item = &str> {
     })
 }
 
+/// A changelog whose section of this version, which was still to be released, has this day.
+fn with_day(changelog: &str, version: &str, day: &str) -> Option<String> {
+    let head = format!("\n## {version} (unreleased)\n");
+    changelog.contains(&head).then(|| changelog.replacen(&head, &format!("\n## {version} ({day})\n"), 1))
+}
+
 /// What the changelog says of a version that has a day.
 fn section<'t>(changelog: &'t str, version: &str) -> Result<&'t str, String> {
     let head = format!("\n## {version} (");
@@ -222,6 +245,9 @@ mod tests {
             let refusal = section(log, version).unwrap_err();
             assert!(refusal.contains(reason), "{refusal}");
         }
+        assert_eq!(with_day(log, "0.2.0", "2027-03-01"), None);
+        let dated = with_day(log, "0.1.0", "2027-03-01").unwrap();
+        assert_eq!(section(&dated, "0.1.0").unwrap(), "The first.");
     }
 
     #[test]

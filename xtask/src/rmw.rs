@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! rmw_tautline: built for use, its lints and tests.
 
+pub mod cross;
+
 use crate::bridge::{nextest, programs, with_libraries};
 use crate::build::{Build, TARGETS, build};
 use crate::r2r::Environment;
 use crate::ros::Distribution;
 use crate::steps::{Steps, announce, cargo};
-use crate::{colcon, headers, lab, lints, r2r, ros, word};
+use crate::{colcon, headers, lab, lints, peers, r2r, ros, word};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -79,6 +81,7 @@ pub fn test(steps: &mut Steps) {
     }
     colcon::test(steps, &environment);
     steps.command(&ros::step("rmw: the gateway"), &mut lints::cargo(&programs()));
+    steps.step(&ros::step("rmw: zenoh-ros2-sdk"), peers::prepare);
     let mut tests = lints::cargo(&nextest(WHOLE));
     steps.command(&ros::step("rmw: tests"), with_libraries(&environment, &mut tests));
 }

@@ -6,7 +6,7 @@ use crate::{machine, r2r, word};
 use clap::ValueEnum;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::sync::OnceLock;
+use std::sync::{Mutex, PoisonError};
 use std::{fs, io};
 
 /// Those that PyPI has.
@@ -17,16 +17,15 @@ pub enum Distribution {
     Kilted,
 }
 
-static CHOSEN: OnceLock<Distribution> = OnceLock::new();
+static CHOSEN: Mutex<Distribution> = Mutex::new(Distribution::Jazzy);
 
 /// From now on it is this one that is made, where none is sourced. Builds for another one take the place of those that are there.
 pub fn choose(distribution: Distribution) {
-    // The first one stays.
-    let _ = CHOSEN.set(distribution);
+    *CHOSEN.lock().unwrap_or_else(PoisonError::into_inner) = distribution;
 }
 
 pub fn chosen() -> Distribution {
-    CHOSEN.get().copied().unwrap_or_default()
+    *CHOSEN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// What it is in `ROS_DISTRO`.

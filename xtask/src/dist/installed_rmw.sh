@@ -2,7 +2,7 @@
 # rmw_tautline's `.deb` where ROS 2 is installed: after the commands of docs/rmw.md. Its libraries are those of the wheels, for Debian has none.
 say "rmw_tautline where ROS 2 is installed"
 pip uninstall --quiet --yes rmw-tautline
-sudo dpkg --force-depends --install target/dist/ros-jazzy-rmw-tautline_*.deb
+sudo dpkg --force-depends --install target/dist/ros-jazzy-rmw-tautline_*_"$(dpkg --print-architecture)".deb
 AMENT_PREFIX_PATH=/opt/ros/jazzy LD_LIBRARY_PATH=robot/lib LD_PRELOAD=/opt/ros/jazzy/lib/librmw_tautline.so python3 -c '
 import rclpy
 from ament_index_python import get_resource

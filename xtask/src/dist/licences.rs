@@ -22,6 +22,10 @@ pub fn of(manifest: &str, packages: &[&str], target: &str) -> Result<String, Str
         return Err(String::from_utf8_lossy(&output.stderr).trim().to_owned());
     }
     let metadata: Value = serde_json::from_slice(&output.stdout).map_err(|error| error.to_string())?;
+    let names: Vec<_> = array(&metadata["packages"]).filter_map(|package| package["name"].as_str()).collect();
+    if let Some(unknown) = packages.iter().find(|package| !names.contains(package)) {
+        return Err(format!("{manifest} has no package {unknown}"));
+    }
     let mut texts = BTreeMap::<String, Vec<String>>::new();
     for package in linked(&metadata, packages) {
         let word = |key: &str| package[key].as_str().unwrap_or_default();
@@ -92,5 +96,6 @@ mod tests {
         assert!(text.contains("\nrustix 1.") && text.contains("Permission is hereby granted"), "{text}");
         // It is a tool of tests.
         assert!(!text.contains("\nloom 0."));
+        assert!(of("Cargo.toml", &["none"], "aarch64-unknown-linux-gnu").is_err());
     }
 }

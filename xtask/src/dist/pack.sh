@@ -89,6 +89,8 @@ END
     find . -path ./DEBIAN -prune -o -type f -printf '%P\0' | LC_ALL=C sort -z | xargs -0 md5sum > DEBIAN/md5sums
     kind=$([ "$LEVEL" = 1 ] && echo gzip || echo xz)
     deb=$OUT/$1_${VERSION}_$ARCHITECTURE.deb
+    # Those of other machines stay.
+    rm -f "$OUT/$1_"*"_$ARCHITECTURE.deb"
     dpkg-deb --root-owner-group "-Z$kind" "-z$LEVEL" --build "$root" "$deb"
     # It takes longer than the rest.
     if [ "$LEVEL" != 1 ] && command -v lintian; then lintian --allow-root --fail-on error "$deb"; fi
@@ -129,6 +131,7 @@ files) # As they are below /usr/local.
     ;;
 tarball)
     folder=tautline-$VERSION-$MACHINE-unknown-linux-gnu
+    rm -f "$OUT/tautline-"*"-$MACHINE-"*.tar.gz
     rm -rf "$OUT/work/$folder"
     cp -a "$files" "$OUT/work/$folder"
     archive "$OUT/$folder.tar.gz" "$OUT/work" "$folder"

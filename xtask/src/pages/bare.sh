@@ -47,7 +47,7 @@ mount -t proc proc "$root/proc"
 mount -t tmpfs tmpfs "$root/dev/shm"
 see "$PACKAGES" "$home/target/dist"
 path=$root$home/.path
-for program in $(dpkg -L coreutils gzip tar | grep /bin/); do ln -s "$program" "$path"; done
+for program in $(dpkg -L coreutils dpkg gzip tar | grep /bin/); do ln -s "$program" "$path"; done
 ln -s "$("$PYTHON" -c 'import sys; print(sys._base_executable)')" "$path/python3"
 # It is root in here.
 printf '#!/bin/sh\nPATH=$PATH:/usr/sbin:/usr/bin exec "$@"\n' > "$path/sudo"
