@@ -134,7 +134,7 @@ impl Topic {
 }
 
 /// The metadata of a message.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub struct Stamp {
     /// The sequence number that the publisher gave it, or its lowest 32 bits.
     pub sequence: u32,
