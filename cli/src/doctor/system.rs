@@ -2,11 +2,12 @@
 //! `--system`: whether a system file fits this host. `taut check` says whether it is schedulable.
 
 use super::domain::free_bytes;
-use super::finding::{Checked, Cost, Finding, Verdict, size};
+use super::finding::{Checked, Cost, Finding, Verdict};
 use super::host::Host;
 use super::kernel::allowance;
 use crate::check::{read_file, this_host};
 use crate::verb::{Failure, Outcome};
+use indicatif::BinaryBytes;
 use std::path::Path;
 use tautline::{CoreSet, Limits, Policy, topic_memory};
 use tautline_analysis::Reservation;
@@ -183,12 +184,15 @@ impl System {
             bytes = bytes.saturating_add(memory.claimed_bytes as u64);
         }
         let free = free_bytes(&host.tree)?;
-        let mut value =
-            format!("its topics claim {} with one publisher each, {} are free", size(bytes), size(free));
+        let mut value = format!(
+            "its topics claim {} with one publisher each, {} are free",
+            BinaryBytes(bytes),
+            BinaryBytes(free)
+        );
         if variable > 0 {
             value += &format!(
                 "; {variable} of no fixed size are counted with {} a message",
-                size(limits.message_bytes as u64)
+                BinaryBytes(limits.message_bytes as u64)
             );
         }
         let grow = "mount -o remount,size=4G /dev/shm, or lower depths (docs/memory.md)";

@@ -106,7 +106,7 @@ impl Format {
 
 pub fn run(args: &GraphArgs) -> Outcome {
     let format = format_of(args)?;
-    let checked = args.system.as_deref().map(|path| Ok(read_file(path)?.check())).transpose()?;
+    let checked = args.system.as_deref().map(read_file).transpose()?.map(|file| file.check());
     let picture = gather_picture(args, checked.as_ref())?;
     let written = format.write(&picture);
     if format == Format::Mermaid && (picture.edges.len() > 500 || written.len() > 50_000) {
