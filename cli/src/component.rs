@@ -75,7 +75,7 @@ enum Verb {
         /// A parameter's value, NAME:=VALUE, read as YAML; may be given several times
         #[arg(long = "param", short = 'p', value_name = "NAME:=VALUE", value_parser = parameter)]
         params: Vec<msg::Parameter>,
-        /// The level of the node's logger: debug, info, warn, error or fatal
+        /// The level of the node's logger
         #[arg(long, value_name = "LEVEL", value_parser = severity(&LEVELS[1..]), ignore_case = true)]
         log_level: Option<LogSeverity>,
         /// An extra argument as for ROS 2's containers, NAME:=VALUE: use_intra_process_comms or forward_global_arguments
