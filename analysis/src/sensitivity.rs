@@ -7,16 +7,7 @@ use std::ops::Range;
 
 use crate::Task;
 use crate::level::Effort;
-use crate::system::{Callback, Core, System};
-
-/// Factors are counted in thousandths.
-pub(crate) const UNIT: u64 = 1_000;
-
-/// No factor above this many thousandths is looked for.
-pub(crate) const LIMIT: u64 = 1_000 * UNIT;
-
-/// So many steps take no time worth saving.
-pub(crate) const FEW: u64 = 20_000;
+use crate::system::{Callback, Core, FEW, LIMIT, System, UNIT};
 
 /// The largest factor, in thousandths and at most 1,000,000, for which `schedulable` holds, provided that it holds for
 /// all smaller ones. 0 if it holds for none. From 2,000 on, it is up to one in a thousand too low.

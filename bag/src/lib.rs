@@ -32,6 +32,7 @@ pub use error::BagError;
 pub use index::{Metadata, index_of};
 pub use ordered::{Ordered, OwnedMessage};
 pub use parts::is_compressed;
+pub use qos::in_words;
 pub use reader::{Attachment, Damage, Event, FileReader, FileSummary, Message, files_of};
 pub use recover::{Recovered, is_being_written, recover};
 pub use writer::{Finished, Options, TopicId, Writer};
@@ -134,7 +135,7 @@ impl Topic {
 }
 
 /// The metadata of a message.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub struct Stamp {
     /// The sequence number that the publisher gave it, or its lowest 32 bits.
     pub sequence: u32,

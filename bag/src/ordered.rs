@@ -14,7 +14,7 @@ const MOST_OPEN: usize = 256;
 const MOST_WAITING: usize = 2 << 30;
 
 /// A message and its topic, an index into [`Ordered::topics`].
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct OwnedMessage {
     /// Which topic.
     pub topic: usize,
@@ -38,9 +38,9 @@ pub struct Ordered {
     open: Vec<Option<Open>>,
     topics: Vec<Arc<Topic>>,
     numbers: HashMap<(String, String, Option<String>), usize>,
-    waiting: BinaryHeap<Reverse<Waiting>>,
+    /// By their times, and the order in which they were read.
+    waiting: BinaryHeap<Reverse<(u64, u64, OwnedMessage)>>,
     waiting_bytes: usize,
-    /// Of messages with the same time the one that was read first is first.
     count: u64,
     damage: BTreeSet<(PathBuf, u64, String)>,
 }
@@ -49,12 +49,6 @@ struct Open {
     reader: FileReader,
     /// The topic of a channel, by its address, which is not another's as long as it is here.
     numbers: HashMap<usize, (Arc<Topic>, usize)>,
-}
-
-struct Waiting {
-    log_ns: u64,
-    count: u64,
-    message: OwnedMessage,
 }
 
 impl Ordered {
@@ -126,13 +120,13 @@ impl Ordered {
     /// A file cannot be read.
     pub fn next_message(&mut self) -> Result<Option<OwnedMessage>, BagError> {
         while let Some((file, extent)) = self.left.checked_sub(1).map(|last| self.extents[last]) {
-            if self.waiting.peek().is_some_and(|Reverse(first)| first.log_ns < extent.start_ns) {
+            if self.waiting.peek().is_some_and(|Reverse((log_ns, ..))| *log_ns < extent.start_ns) {
                 break;
             }
             self.left -= 1;
             self.take_in(file, extent)?;
         }
-        let next = self.waiting.pop().map(|Reverse(first)| first.message);
+        let next = self.waiting.pop().map(|Reverse((.., message))| message);
         self.waiting_bytes -= next.as_ref().map_or(0, |message| message.cdr.len());
         Ok(next)
     }
@@ -165,7 +159,7 @@ impl Ordered {
                 let (stamp, cdr) = (message.stamp, message.cdr.to_vec());
                 let message = OwnedMessage { topic, stamp, cdr };
                 self.waiting_bytes += message.cdr.len();
-                self.waiting.push(Reverse(Waiting { log_ns: stamp.log_ns, count: self.count, message }));
+                self.waiting.push(Reverse((stamp.log_ns, self.count, message)));
                 self.count += 1;
             }
             Ok::<_, BagError>(())
@@ -201,25 +195,5 @@ impl Ordered {
         for damage in reader.damage().0 {
             self.damage.insert((self.files[file].clone(), damage.offset, damage.what.clone()));
         }
-    }
-}
-
-impl PartialEq for Waiting {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other).is_eq()
-    }
-}
-
-impl Eq for Waiting {}
-
-impl PartialOrd for Waiting {
-    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl Ord for Waiting {
-    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        (self.log_ns, self.count).cmp(&(other.log_ns, other.count))
     }
 }

@@ -1,15 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut apply`: the text that a system file has now, for the processes that run with it.
 
-use crate::check::print_file_error;
+use crate::check::read_file;
 use crate::table::{GOOD, wrap};
 use crate::verb::{CommonArgs, Failure, Outcome};
 use clap::Args;
 use std::io::Write;
 use std::path::PathBuf;
-use std::process::ExitCode;
 use tautline::{Error, SystemError, apply_system};
-use tautline_analysis::file::SystemFile;
 
 /// Makes running processes adopt the present text of their system file: priorities, reservations, budgets and deadlines
 ///
@@ -31,29 +29,20 @@ pub struct ApplyArgs {
     common: CommonArgs,
 }
 
-pub fn run(args: &ApplyArgs) -> Outcome<ExitCode> {
+pub fn run(args: &ApplyArgs) -> Outcome {
     args.common.bound();
-    if let Err(error) = SystemFile::read(&args.file) {
-        print_file_error(&error);
-        return Ok(ExitCode::from(2));
-    }
+    read_file(&args.file)?;
     let domain = args.common.domain()?;
-    let labels = match apply_system(domain, &args.file) {
-        Err(
-            error @ (Error::System(SystemError::NotAdmitted { .. })
-            | Error::NobodyHas { .. }
-            | Error::NotTakenUp { .. }),
-        ) => {
-            return Err(Failure::no(error.to_string()));
-        }
-        outcome => outcome?,
-    };
+    let labels = apply_system(domain, &args.file).map_err(|error| match error {
+        Error::System(SystemError::NotAdmitted { .. })
+        | Error::NobodyHas { .. }
+        | Error::NotTakenUp { .. } => Failure::no(error.to_string()),
+        error => error.into(),
+    })?;
     let mut out = crate::print::stdout();
     if args.common.json {
-        writeln!(out, "{}", serde_json::json!({ "domain": domain, "processes": labels }))?;
-        return Ok(ExitCode::SUCCESS);
+        return Ok(writeln!(out, "{}", serde_json::json!({ "domain": domain, "processes": labels }))?);
     }
     let text = format!("Taken up in domain {domain} by {}.", labels.join(", "));
-    writeln!(out, "{GOOD}{}{GOOD:#}", wrap(&text))?;
-    Ok(ExitCode::SUCCESS)
+    Ok(writeln!(out, "{GOOD}{}{GOOD:#}", wrap(&text))?)
 }

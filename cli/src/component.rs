@@ -4,6 +4,7 @@
 use crate::arguments::full_name;
 use crate::call::Caller;
 use crate::completions;
+use crate::log::{LEVELS, severity};
 use crate::sibling::{Sibling, sibling};
 use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::{Args, Subcommand, ValueHint};
@@ -74,8 +75,8 @@ enum Verb {
         /// A parameter's value, NAME:=VALUE, read as YAML; may be given several times
         #[arg(long = "param", short = 'p', value_name = "NAME:=VALUE", value_parser = parameter)]
         params: Vec<msg::Parameter>,
-        /// The level of the node's logger: debug, info, warn, error or fatal
-        #[arg(long, value_name = "LEVEL", value_parser = log_level, add = completions::levels())]
+        /// The level of the node's logger
+        #[arg(long, value_name = "LEVEL", value_parser = severity(&LEVELS[1..]), ignore_case = true)]
         log_level: Option<LogSeverity>,
         /// An extra argument as for ROS 2's containers, NAME:=VALUE: use_intra_process_comms or forward_global_arguments
         #[arg(long, short = 'e', value_name = "NAME:=VALUE", value_parser = parameter)]
@@ -155,10 +156,6 @@ fn parameter(rule: &str) -> Result<msg::Parameter, String> {
         }
         _ => Err("it has no name before ':='".into()),
     }
-}
-
-fn log_level(level: &str) -> Result<LogSeverity, &'static str> {
-    level.parse().map_err(|()| "a level is debug, info, warn, error or fatal")
 }
 
 fn call<T: Service>(target: &Target, service: &str, request: T::Request) -> Outcome<T::Response> {

@@ -5,6 +5,7 @@ use crate::completions;
 use crate::msg::{Finder, parts};
 use crate::table::write_names;
 use crate::verb::{CommonArgs, Failure, Outcome};
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, Subcommand};
 use serde_json::json;
 use std::collections::BTreeSet;
@@ -42,8 +43,8 @@ enum Verb {
     /// Prints the types
     List {
         /// Print only these
-        #[arg(long, value_enum, value_name = "KIND")]
-        only: Option<Only>,
+        #[arg(long, value_parser = kinds(), value_name = "KIND")]
+        only: Option<Kind>,
     },
     /// Prints the types of a package
     Package {
@@ -54,8 +55,8 @@ enum Verb {
     /// Prints the packages that have types
     Packages {
         /// Print only packages with these
-        #[arg(long, value_enum, value_name = "KIND")]
-        only: Option<Only>,
+        #[arg(long, value_parser = kinds(), value_name = "KIND")]
+        only: Option<Kind>,
     },
     /// Prints the definition of a type, with those of its fields
     Show {
@@ -77,21 +78,9 @@ enum Verb {
     },
 }
 
-#[derive(clap::ValueEnum, Clone, Copy, Debug)]
-enum Only {
-    Msgs,
-    Srvs,
-    Actions,
-}
-
-impl Only {
-    fn kind(self) -> Kind {
-        match self {
-            Only::Msgs => Kind::Msg,
-            Only::Srvs => Kind::Srv,
-            Only::Actions => Kind::Action,
-        }
-    }
+fn kinds() -> impl TypedValueParser<Value = Kind> {
+    let kind = |name: String| Kind::from_name(name.trim_end_matches('s')).ok_or("it is no kind");
+    PossibleValuesParser::new(["msgs", "srvs", "actions"]).try_map(kind)
 }
 
 pub fn run(args: &InterfaceArgs) -> Outcome {
@@ -100,7 +89,7 @@ pub fn run(args: &InterfaceArgs) -> Outcome {
     match &args.verb {
         Verb::List { only } => {
             let mut types = finder(args)?.list()?;
-            types.retain(|name| only.is_none_or(|only| name.kind() == only.kind()));
+            types.retain(|name| only.is_none_or(|only| name.kind() == only));
             if common.json {
                 let names: Vec<&str> = types.iter().map(TypeName::as_str).collect();
                 return Ok(write_names(true, &names, &mut out)?);
@@ -128,7 +117,7 @@ pub fn run(args: &InterfaceArgs) -> Outcome {
         }
         Verb::Packages { only } => {
             let types = finder(args)?.list()?;
-            let wanted = types.iter().filter(|name| only.is_none_or(|only| name.kind() == only.kind()));
+            let wanted = types.iter().filter(|name| only.is_none_or(|only| name.kind() == only));
             let names: BTreeSet<&str> = wanted.map(TypeName::package).collect();
             Ok(write_names(common.json, &names.into_iter().collect::<Vec<_>>(), &mut out)?)
         }

@@ -8,7 +8,8 @@ use crate::completions;
 use crate::print::Colour;
 use crate::table::{BAD, WARNING};
 use crate::verb::{CommonArgs, End, Failure, Outcome};
-use clap::{Args, Subcommand, ValueEnum};
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::{Args, Subcommand};
 use serde_json::json;
 use std::collections::BTreeSet;
 use std::io::Write;
@@ -58,8 +59,8 @@ struct LinesArgs {
     #[arg(value_name = "NODE", add = completions::nodes())]
     nodes: Vec<String>,
     /// Print lines of this severity and above
-    #[arg(short, long, value_enum, value_name = "LEVEL", default_value = "debug")]
-    level: Level,
+    #[arg(short, long, value_parser = severity(&LEVELS), value_name = "LEVEL", default_value = "debug")]
+    level: LogSeverity,
     /// Print only new lines, not those that nodes keep for late joiners
     #[arg(long)]
     new: bool,
@@ -82,35 +83,18 @@ enum Verb {
         #[arg(value_name = "NODE", add = completions::logging_nodes())]
         node: String,
         /// The lowest severity to log; unset: the level of the parent logger
-        #[arg(value_enum, value_name = "LEVEL")]
-        level: Option<Level>,
+        #[arg(value_parser = severity(&LEVELS), value_name = "LEVEL")]
+        level: Option<LogSeverity>,
         /// Another logger of the node's process [default: the node's own]
         #[arg(long, value_name = "NAME")]
         logger: Option<String>,
     },
 }
 
-#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
-enum Level {
-    Unset,
-    Debug,
-    Info,
-    Warn,
-    Error,
-    Fatal,
-}
+pub const LEVELS: [&str; 6] = ["unset", "debug", "info", "warn", "error", "fatal"];
 
-impl Level {
-    fn severity(self) -> LogSeverity {
-        match self {
-            Level::Unset => LogSeverity::Unset,
-            Level::Debug => LogSeverity::Debug,
-            Level::Info => LogSeverity::Info,
-            Level::Warn => LogSeverity::Warn,
-            Level::Error => LogSeverity::Error,
-            Level::Fatal => LogSeverity::Fatal,
-        }
-    }
+pub fn severity(levels: &'static [&'static str]) -> impl TypedValueParser<Value = LogSeverity> {
+    PossibleValuesParser::new(levels).try_map(|name| name.parse().map_err(|()| "it is no level"))
 }
 
 pub fn run(args: &LogArgs) -> Outcome {
@@ -213,8 +197,7 @@ impl<'a> Lines<'a> {
         let is_below = |above: &String| {
             log.name.strip_prefix(above.as_str()).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
         };
-        log.level >= self.args.level.severity() as u8
-            && (self.loggers.is_empty() || self.loggers.iter().any(is_below))
+        log.level >= self.args.level as u8 && (self.loggers.is_empty() || self.loggers.iter().any(is_below))
     }
 
     fn print(&self, log: &Log) -> Outcome {
@@ -274,22 +257,16 @@ fn warn_unreceived(graph: &GraphSnapshot, subscription: &Subscription<Log>, said
 
 /// The name of a severity in a line; programs may use numbers between the named ones.
 fn word(level: u8) -> String {
-    match level {
-        10 => "DEBUG".into(),
-        20 => "INFO".into(),
-        30 => "WARN".into(),
-        40 => "ERROR".into(),
-        50 => "FATAL".into(),
-        0 => "UNSET".into(),
-        other => other.to_string(),
-    }
+    let known =
+        LEVELS.iter().find_map(|name| name.parse().ok().filter(|of: &LogSeverity| *of as u8 == level));
+    known.map_or_else(|| level.to_string(), |severity| severity.name().into())
 }
 
 fn logger_of(node: &str) -> String {
     node.trim_start_matches('/').replace('/', ".")
 }
 
-fn level(common: &CommonArgs, node: &str, level: Option<Level>, logger: Option<&str>) -> Outcome {
+fn level(common: &CommonArgs, node: &str, level: Option<LogSeverity>, logger: Option<&str>) -> Outcome {
     let (end, domain) = (End::within(PATIENCE, common)?, common.domain()?);
     let service = if level.is_some() { "set_logger_levels" } else { "get_logger_levels" };
     let what = "does not serve the levels of its loggers (rclcpp, rclpy: enable_logger_service; Tautline: make_logger_handler)";
@@ -307,11 +284,11 @@ fn level(common: &CommonArgs, node: &str, level: Option<Level>, logger: Option<&
             false => writeln!(out, "{name}: {}", word(own)),
         }?);
     };
-    let wanted = LoggerLevel { name: name.clone(), level: level.severity() as u32 };
+    let wanted = LoggerLevel { name: name.clone(), level: level as u32 };
     let request = SetLoggerLevels::Request { levels: vec![wanted] };
     let answer = caller.call::<SetLoggerLevels::Service>(&service, request)?;
     let result = answer.results.into_iter().next().unwrap_or_default();
-    let now = level.severity().name();
+    let now = level.name();
     if common.json {
         let (successful, reason) = (result.successful, &result.reason);
         writeln!(

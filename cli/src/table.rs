@@ -23,6 +23,17 @@ pub fn write_table(
     rows: Vec<(bool, Vec<String>)>,
     out: &mut impl Write,
 ) -> io::Result<()> {
+    write_spaced_table(2, head, left, rows, out)
+}
+
+/// As [`write_table`], with so many spaces between columns.
+pub fn write_spaced_table(
+    gap: u16,
+    head: &[&str],
+    left: usize,
+    rows: Vec<(bool, Vec<String>)>,
+    out: &mut impl Write,
+) -> io::Result<()> {
     let style = TableStyle::new().header_separator(LineStyle::none().fill('─').junction('─'));
     let mut table = Table::new();
     table.load_style(style).set_header(head.iter().copied());
@@ -30,7 +41,7 @@ pub fn write_table(
         table.add_row(row.clone());
     }
     for (i, column) in table.column_iter_mut().enumerate() {
-        column.set_padding((0, 2));
+        column.set_padding((0, gap));
         if i >= left {
             column.set_cell_alignment(CellAlignment::Right);
         }

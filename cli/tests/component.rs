@@ -29,7 +29,7 @@ fn what_is_no_argument_is_refused_before_a_container_is_asked() {
         (["-p", ":=1"], "no name before ':='"),
         (["-p", "gain:=[1, x]"], "here are integer and string (x)"),
         (["-e", "use_intra_process_comms"], "no name before ':='"),
-        (["--log-level", "loud"], "a level is debug, info, warn, error or fatal"),
+        (["--log-level", "loud"], "[possible values: debug, info, warn, error, fatal]"),
     ] {
         let mut taut = Command::new(env!("CARGO_BIN_EXE_taut"));
         let output = taut.args(["component", "load", "libx.so:x::Y"]).args(arguments).output().unwrap();

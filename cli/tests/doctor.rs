@@ -196,7 +196,7 @@ fn a_bad_host() {
     for part in [
         "bad      preemption: PREEMPT_DYNAMIC, Linux 6.8.0-45-generic",
         "bad      priority: limit 0 (RLIMIT_RTPRIO), 90 is needed\n         cost: programs do not start in real time\n",
-        "bad      locked memory: at most 8.0 MiB (RLIMIT_MEMLOCK)",
+        "bad      locked memory: at most 8.00 MiB (RLIMIT_MEMLOCK)",
         "bad      cgroup: group /user.slice has no real-time runtime",
         "bad      interrupts: devices interrupt real-time cores 2-3: 25 nvme0q1 (42)\n",
         "bad      clock: hpet, of tsc hpet acpi_pm",
@@ -431,7 +431,7 @@ fn a_system_file_is_checked_against_the_host() {
     assert!(verdict == "advice" && value.contains("up to 90: irq/25-nvme0q1 (50)"), "{value}");
     let (verdict, value) = finding(&root, "memory of the file", &args);
     // Samples of 128 bytes: 2 in the queue, 4 that the callback and 4 that the publisher may hold.
-    assert!(verdict == "good" && value.contains("claim 1.2 KiB with one publisher each"), "{value}");
+    assert!(verdict == "good" && value.contains("claim 1.25 KiB with one publisher each"), "{value}");
     assert_eq!(finding(&root, "stated throttling", &args).0, "good");
     put(&root, "proc/sys/kernel/sched_rt_runtime_us", "950000\n");
     assert_eq!(finding(&root, "stated throttling", &args).0, "advice");

@@ -2,7 +2,9 @@
 
 use core::any::type_name;
 
-use crate::cdr::{DecodeError, DecodeFault, EncodeError, Endian, FieldPath, Form, Reader, SLACK, Writer};
+use crate::cdr::{
+    DecodeError, DecodeFault, EncodeError, Endian, FieldPath, Form, Reader, SLACK, Writer, fits_stack,
+};
 use crate::{Body, Invalid, Message, Shape};
 
 /// A type of fixed size whose C layout is its XCDR1 little-endian layout: a reference to the bytes is a reference to
@@ -236,11 +238,6 @@ fn explain<T: Plain + Message>(body: Body<'_>) -> DecodeError {
         // The message is whole, but its trailing padding is missing.
         _ => error(0, DecodeFault::End { needed: size_of::<T>(), left: body.memory().len() }),
     }
-}
-
-/// Whether a value may be put on the stack, just to find out what is wrong with it.
-pub(crate) const fn fits_stack<T>() -> bool {
-    size_of::<T>() <= 4096
 }
 
 /// Not inlined: where the value does not fit, there must be no place for it on the stack either.

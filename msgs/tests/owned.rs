@@ -3,7 +3,9 @@
 //! `tautline-ros-msgs` shows.
 #![allow(missing_docs, reason = "a test")]
 
-use std::alloc::{GlobalAlloc, Layout, System};
+#[path = "support/heap.rs"]
+mod heap;
+
 use std::cell::Cell;
 
 use tautline_msgs::cdr::{
@@ -369,31 +371,16 @@ fn serde_knows_all_floats_and_long_arrays() {
     }
 }
 
-/// Remembers the largest allocation of this thread, and counts them.
-struct Counting;
-
 thread_local! {
     static LARGEST: Cell<usize> = const { Cell::new(0) };
     static COUNT: Cell<usize> = const { Cell::new(0) };
 }
 
-// SAFETY: forwards to the system's allocator, unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        LARGEST.set(LARGEST.get().max(layout.size()));
-        COUNT.set(COUNT.get() + 1);
-        // SAFETY: the caller keeps the contract of `alloc`.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller keeps the contract of `dealloc`.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
+static ALLOCATOR: heap::Watched = heap::Watched(|bytes| {
+    LARGEST.set(LARGEST.get().max(bytes.unwrap_or_default()));
+    COUNT.set(COUNT.get() + usize::from(bytes.is_some()));
+});
 
 #[test]
 fn encoding_does_not_allocate() {

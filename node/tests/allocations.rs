@@ -3,8 +3,9 @@
 //! being traced.
 
 mod common;
+#[path = "../../msgs/tests/support/heap.rs"]
+mod heap;
 
-use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::future::pending;
 use std::sync::OnceLock;
@@ -41,35 +42,13 @@ static CALLBACK: Calls = Calls::new();
 
 thread_local!(static MINE: Cell<Option<&'static Calls>> = const { Cell::new(None) });
 
-fn count(which: impl FnOnce(&Calls) -> &AtomicU64) {
-    if let Ok(Some(calls)) = MINE.try_with(Cell::get) {
-        which(calls).fetch_add(1, Ordering::SeqCst);
-    }
-}
-
-struct Counting;
-
-// SAFETY: every call is handed on to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count(|calls| &calls.allocations);
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
-        count(|calls| &calls.frees);
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.dealloc(block, layout) }
-    }
-    unsafe fn realloc(&self, block: *mut u8, layout: Layout, bytes: usize) -> *mut u8 {
-        count(|calls| &calls.allocations);
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.realloc(block, layout, bytes) }
-    }
-}
-
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
+static ALLOCATOR: heap::Watched = heap::Watched(|bytes| {
+    if let Ok(Some(calls)) = MINE.try_with(Cell::get) {
+        let which = if bytes.is_some() { &calls.allocations } else { &calls.frees };
+        which.fetch_add(1, Ordering::SeqCst);
+    }
+});
 
 const MESSAGES: u64 = 10_000;
 

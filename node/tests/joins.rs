@@ -2,8 +2,9 @@
 //! Callbacks that wait for several topics: sets of samples that lie where they were written, jobs, limits, no allocation.
 
 mod common;
+#[path = "../../msgs/tests/support/heap.rs"]
+mod heap;
 
-use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::time::Duration;
 
@@ -18,24 +19,10 @@ use tautline::{CallbackHandle, CallbackOptions, Limits, Node, Publisher, Qos, Su
 
 thread_local!(static CALLS: Cell<u64> = const { Cell::new(0) });
 
-struct Counting;
-
-// SAFETY: every call is handed on to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        let _ = CALLS.try_with(|calls| calls.set(calls.get() + 1));
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
-        let _ = CALLS.try_with(|calls| calls.set(calls.get() + 1));
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.dealloc(block, layout) }
-    }
-}
-
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
+static ALLOCATOR: heap::Watched = heap::Watched(|_| {
+    let _ = CALLS.try_with(|calls| calls.set(calls.get() + 1));
+});
 
 fn point(publisher: &Publisher<PointStamped>, ms: i64, x: f64) {
     let mut message = PointStamped::default();

@@ -2,8 +2,9 @@
 //! In a real-time thread, reading parameters and logging allocates and frees nothing.
 
 mod common;
+#[path = "../../msgs/tests/support/heap.rs"]
+mod heap;
 
-use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::hint::black_box;
 use std::time::Duration;
@@ -15,28 +16,10 @@ use tautline_rt::{Policy, ThreadBuilder};
 
 thread_local!(static CALLS: Cell<Option<u64>> = const { Cell::new(None) });
 
-fn count() {
-    let _ = CALLS.try_with(|calls| calls.set(calls.get().map(|calls| calls + 1)));
-}
-
-struct Counting;
-
-// SAFETY: every call is handed on to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count();
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
-        count();
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.dealloc(block, layout) }
-    }
-}
-
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
+static ALLOCATOR: heap::Watched = heap::Watched(|_| {
+    let _ = CALLS.try_with(|calls| calls.set(calls.get().map(|calls| calls + 1)));
+});
 
 #[test]
 fn parameters_and_lines_cost_no_heap_calls() {

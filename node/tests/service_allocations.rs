@@ -4,8 +4,9 @@
 #![cfg(feature = "example_interfaces")]
 
 mod common;
+#[path = "../../msgs/tests/support/heap.rs"]
+mod heap;
 
-use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -22,34 +23,12 @@ static SAMPLER: AtomicU64 = AtomicU64::new(0);
 
 thread_local!(static MINE: Cell<Option<&'static AtomicU64>> = const { Cell::new(None) });
 
-fn count() {
-    if let Ok(Some(calls)) = MINE.try_with(Cell::get) {
+#[global_allocator]
+static ALLOCATOR: heap::Watched = heap::Watched(|bytes| {
+    if let (Some(_), Ok(Some(calls))) = (bytes, MINE.try_with(Cell::get)) {
         calls.fetch_add(1, Ordering::SeqCst);
     }
-}
-
-struct Counting;
-
-// SAFETY: every call is handed on to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count();
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.dealloc(block, layout) }
-    }
-    unsafe fn realloc(&self, block: *mut u8, layout: Layout, bytes: usize) -> *mut u8 {
-        count();
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.realloc(block, layout, bytes) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
+});
 
 const ROUND_TRIPS: u64 = 10_000;
 

@@ -3,8 +3,9 @@
 //! simulated time that leaps back, and no allocation.
 
 mod common;
+#[path = "../../msgs/tests/support/heap.rs"]
+mod heap;
 
-use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use common::{context, eventually, spin};
@@ -22,34 +23,16 @@ use tautline::{CallbackOptions, Context, Node, Qos};
 static CALLS: AtomicU64 = AtomicU64::new(0);
 static COUNTS: AtomicBool = AtomicBool::new(false);
 
-struct Counting;
+static LISTENER: AtomicU64 = AtomicU64::new(0);
 
-fn note() {
+#[global_allocator]
+static ALLOCATOR: heap::Watched = heap::Watched(|_| {
     if COUNTS.load(Ordering::SeqCst)
         && rustix::thread::gettid().as_raw_nonzero().get() as u64 == LISTENER.load(Ordering::SeqCst)
     {
         CALLS.fetch_add(1, Ordering::SeqCst);
     }
-}
-
-static LISTENER: AtomicU64 = AtomicU64::new(0);
-
-// SAFETY: every call is handed on to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        note();
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
-        note();
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.dealloc(block, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
+});
 
 const MS: i64 = 1_000_000;
 

@@ -18,24 +18,69 @@ use tautline_rt::shm::{self, PeerFile};
 /// follow its [`Thread`](Record::Thread).
 #[derive(Debug)]
 #[non_exhaustive]
-#[allow(missing_docs, reason = "the names say it: `process` is the number of a process in this recording")]
 pub enum Record<'r> {
-    /// A process; `process` is its number from here on.
-    Process { process: u32, pid: u32, name: &'r str },
-    /// An object of this process's events.
-    Object { process: u32, object: &'r Description },
+    /// A process.
+    Process {
+        /// Its number in this recording.
+        process: u32,
+        /// The kernel's number of it.
+        pid: u32,
+        /// Its program.
+        name: &'r str,
+    },
+    /// An object of a process's events.
+    Object {
+        /// The process, by its number in this recording.
+        process: u32,
+        /// What it is.
+        object: &'r Description,
+    },
     /// A thread.
-    Thread { process: u32, tid: u32, name: &'r str },
-    /// Events of one thread, in order.
-    Events { process: u32, tid: u32, events: &'r [Event] },
+    Thread {
+        /// Its process, by the number in this recording.
+        process: u32,
+        /// The kernel's number of it.
+        tid: u32,
+        /// Its name.
+        name: &'r str,
+    },
+    /// Events of one thread.
+    Events {
+        /// Its process, by the number in this recording.
+        process: u32,
+        /// The thread.
+        tid: u32,
+        /// The events, in order.
+        events: &'r [Event],
+    },
     /// Events of one thread that were overwritten before they were fetched, or that were invalid.
-    Lost { process: u32, tid: u32, events: u64 },
+    Lost {
+        /// Its process, by the number in this recording.
+        process: u32,
+        /// The thread.
+        tid: u32,
+        /// How many.
+        events: u64,
+    },
     /// Events of threads without a ring, because all rings were in use.
-    Unrecorded { process: u32, events: u64 },
+    Unrecorded {
+        /// The process, by its number in this recording.
+        process: u32,
+        /// How many.
+        events: u64,
+    },
     /// Objects for which the table of their process had no room: events may refer to objects without a name.
-    Undescribed { process: u32, objects: u64 },
+    Undescribed {
+        /// The process, by its number in this recording.
+        process: u32,
+        /// How many.
+        objects: u64,
+    },
     /// A process has ended, and all its data have been fetched.
-    Ended { process: u32 },
+    Ended {
+        /// The process, by its number in this recording.
+        process: u32,
+    },
 }
 
 /// Records a domain: processes record events as long as this exists.

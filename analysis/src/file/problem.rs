@@ -102,45 +102,22 @@ fn suggestion<'n>(given: &str, known: impl IntoIterator<Item = &'n str>) -> Stri
     let length = given.chars().count();
     let most = |name: &str| 1 + name.chars().count() / 4;
     let known = known.into_iter().filter(|name| name.chars().count().abs_diff(length) <= most(name));
-    let near = known.map(|name| (distance(given, name), name)).min();
+    let near = known.map(|name| (strsim::osa_distance(given, name), name)).min();
     match near.filter(|(distance, name)| *distance <= most(name)) {
         Some((_, name)) => format!(": did you mean `{name}`?"),
         None => String::new(),
     }
 }
 
-/// How many characters must be inserted, removed or replaced, or neighbours swapped.
-fn distance(a: &str, b: &str) -> usize {
-    let (a, b): (Vec<_>, Vec<_>) = (a.chars().collect(), b.chars().collect());
-    let mut rows = vec![vec![0; b.len() + 1]; a.len() + 1];
-    for i in 0..=a.len() {
-        for j in 0..=b.len() {
-            rows[i][j] = if i == 0 || j == 0 {
-                i + j
-            } else {
-                let replaced = rows[i - 1][j - 1] + usize::from(a[i - 1] != b[j - 1]);
-                let swapped = if i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1] {
-                    rows[i - 2][j - 2] + 1
-                } else {
-                    usize::MAX
-                };
-                replaced.min(swapped).min(rows[i - 1][j] + 1).min(rows[i][j - 1] + 1)
-            };
-        }
-    }
-    rows[a.len()][b.len()]
-}
-
 #[cfg(test)]
 mod tests {
-    use super::{Collector, distance, suggestion};
+    use super::{Collector, suggestion};
 
     #[test]
     fn near_names_are_suggested() {
-        assert_eq!(distance("period", "peroid"), 1);
-        assert_eq!(distance("wect", "wcet"), 1);
-        assert_eq!(distance("abc", ""), 3);
-        assert_eq!(suggestion("perid", ["wcet", "period"]), ": did you mean `period`?");
+        for wrong in ["perid", "peroid"] {
+            assert_eq!(suggestion(wrong, ["wcet", "period"]), ": did you mean `period`?");
+        }
         assert_eq!(suggestion("colour", ["wcet", "period"]), "");
     }
 

@@ -19,6 +19,7 @@ mod slack;
 
 pub use chains::ChainBound;
 pub use join::{Join, JoinBound, Matching};
+pub(crate) use slack::{FEW, LIMIT, UNIT};
 
 /// Callbacks on the cores of one or several hosts.
 ///

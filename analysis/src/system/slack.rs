@@ -11,8 +11,16 @@ use std::ops::Range;
 use super::fixpoint::{self, Solved};
 use super::{Callback, System, chains};
 use crate::level::{Core, Effort};
-use crate::sensitivity::{FEW, LIMIT, UNIT};
 use crate::{Hold, Release, Response, Task};
+
+/// Factors are counted in thousandths.
+pub(crate) const UNIT: u64 = 1_000;
+
+/// No factor above this many thousandths is looked for.
+pub(crate) const LIMIT: u64 = 1_000 * UNIT;
+
+/// So many steps take no time worth saving.
+pub(crate) const FEW: u64 = 20_000;
 
 /// A part of the room that a task has is this exact: 1 of 256.
 const HALVINGS: u32 = 8;

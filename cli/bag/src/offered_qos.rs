@@ -35,7 +35,8 @@ pub fn write(qos: &Qos) -> String {
 /// # Errors
 /// The text is not such a list.
 pub fn read(text: &str) -> Result<Qos, String> {
-    let offers: Vec<Offer> = serde_saphyr::from_str(text).map_err(|error| error.to_string())?;
+    let words = tautline_bag::in_words(text)?;
+    let offers: Vec<Offer> = serde_saphyr::from_str(&words).map_err(|error| error.to_string())?;
     let strongest = |one: Qos, other: Qos| Qos {
         history: if one.history == History::KeepAll { one.history } else { other.history },
         depth: match (one.durability, other.durability) {
@@ -64,54 +65,25 @@ pub fn read(text: &str) -> Result<Qos, String> {
             .chain(other.liveliness_lease_duration)
             .min(),
     };
-    offers
-        .iter()
-        .map(Offer::qos)
-        .reduce(|one, other| Ok(strongest(one?, other?)))
-        .unwrap_or_else(|| Ok(Qos::default()))
+    Ok(offers.iter().map(Offer::qos).reduce(strongest).unwrap_or_default())
 }
 
 #[derive(Deserialize)]
 struct Offer {
-    history: Word,
+    history: String,
     depth: u64,
-    reliability: Word,
-    durability: Word,
-    #[serde(default)]
+    reliability: String,
+    durability: String,
     deadline: Span,
-    #[serde(default)]
     lifespan: Span,
-    liveliness: Word,
-    #[serde(default)]
+    liveliness: String,
     liveliness_lease_duration: Span,
 }
 
-/// A policy: a word since version 9, a number of rmw before.
 #[derive(Deserialize)]
-#[serde(untagged)]
-enum Word {
-    Number(i64),
-    Name(String),
-}
-
-#[derive(Deserialize, Default)]
 struct Span {
     sec: u64,
     nsec: u64,
-}
-
-impl Word {
-    /// Whether this is the second of `names`, or `number`, which means the same. The system's default and unknown values are the first.
-    fn is_second(&self, number: i64, names: [&str; 2]) -> Result<bool, String> {
-        match self {
-            Word::Number(found) => Ok(*found == number),
-            Word::Name(name) if *name == names[1] => Ok(true),
-            Word::Name(name) if *name == names[0] || name == "system_default" || name == "unknown" => {
-                Ok(false)
-            }
-            Word::Name(name) => Err(format!("'{name}' is neither {} nor {}", names[0], names[1])),
-        }
-    }
 }
 
 impl Span {
@@ -124,24 +96,22 @@ impl Span {
 }
 
 impl Offer {
-    fn qos(&self) -> Result<Qos, String> {
+    /// The system's defaults, and policies that Tautline does not have, are those of a reliable publisher that keeps nothing for late joiners.
+    fn qos(&self) -> Qos {
         // A depth of 0 stands for the system's default, which the bag does not state.
         let depth = if self.depth == 0 { Qos::default().depth } else { self.depth as usize };
         let depth = depth.min(Limits::MAX_DEPTH);
-        let keeps_all = self.history.is_second(2, ["keep_last", "keep_all"])?;
-        let qos = if keeps_all { Qos::keep_all(depth) } else { Qos::keep_last(depth) };
-        let is_best_effort = self.reliability.is_second(2, ["reliable", "best_effort"])?;
-        let qos = if is_best_effort { qos.best_effort() } else { qos };
-        let is_kept = self.durability.is_second(1, ["volatile", "transient_local"])?;
-        let qos = if is_kept { qos.transient_local() } else { qos };
-        let is_manual = self.liveliness.is_second(3, ["automatic", "manual_by_topic"])?;
-        Ok(Qos {
+        let qos = if self.history == "keep_all" { Qos::keep_all(depth) } else { Qos::keep_last(depth) };
+        let qos = if self.reliability == "best_effort" { qos.best_effort() } else { qos };
+        let qos = if self.durability == "transient_local" { qos.transient_local() } else { qos };
+        let is_manual = self.liveliness == "manual_by_topic";
+        Qos {
             deadline: self.deadline.get(),
             lifespan: self.lifespan.get(),
             liveliness: if is_manual { Liveliness::ManualByTopic } else { Liveliness::Automatic },
             liveliness_lease_duration: self.liveliness_lease_duration.get(),
             ..qos
-        })
+        }
     }
 }
 

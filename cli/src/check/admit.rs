@@ -27,13 +27,18 @@ pub struct Verdict<'a> {
     broken: Vec<String>,
 }
 
+/// The host of a file that this one is: `TAUT_HOST`, or the only one.
+pub fn this_host<'f>(file: &'f SystemFile, label: &str) -> Result<&'f str, String> {
+    let wanted = tautline_system::environment("TAUT_HOST");
+    let refuse =
+        |hosts: Vec<&str>| format!("which of {label}'s hosts is this? TAUT_HOST=<{}>", hosts.join(", "));
+    file.host(wanted.as_deref()).map_err(refuse)
+}
+
 impl Admitted {
-    /// The host is `TAUT_HOST`, or the file's only one. Without `domain` it is the environment's domain.
+    /// Without `domain` it is the environment's domain.
     pub fn new(file: &SystemFile, label: &str, domain: Option<u32>) -> Result<Admitted, String> {
-        let wanted = std::env::var("TAUT_HOST").ok().filter(|host| !host.is_empty());
-        let host = file
-            .host(wanted.as_deref())
-            .map_err(|hosts| format!("which of {label}'s hosts is this? TAUT_HOST=<{}>", hosts.join(", ")))?;
+        let host = this_host(file, label)?;
         let domain = match domain {
             Some(domain) => domain,
             None => Context::domain_of_environment().map_err(|error| error.to_string())?,

@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut check`: response times, queue capacities and chains of a system file, before anything runs.
 use std::io::{self, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use crate::verb::{Failure, Outcome};
 use admit::Admitted;
+pub use admit::this_host;
 use clap::Args;
 use migrate::Migration;
 use tautline_analysis::file::{CheckedSystem, FileError, SystemFile};
@@ -69,13 +70,7 @@ pub fn run(args: &CheckArgs) -> Outcome<ExitCode> {
         }
         return Ok(ExitCode::SUCCESS);
     }
-    let file = match SystemFile::read(&args.file) {
-        Ok(file) => file,
-        Err(error) => {
-            print_file_error(&error);
-            return Ok(ExitCode::from(2));
-        }
-    };
+    let file = read_file(&args.file)?;
     let admitted = args.admit.then(|| Admitted::new(&file, &path.to_string(), args.domain)).transpose();
     let admitted = admitted.map_err(Failure::unusable)?;
     let checked = admitted.as_ref().map_or_else(|| file.check(), |admitted| admitted.checked().clone());
@@ -115,6 +110,14 @@ fn print(
         }
     }
     out.flush()
+}
+
+/// Reads a system file, or prints its problems.
+pub fn read_file(path: &Path) -> Outcome<SystemFile> {
+    SystemFile::read(path).map_err(|error| {
+        print_file_error(&error);
+        Failure::unusable("")
+    })
 }
 
 /// The problems as file:line:column, to which editors can jump.

@@ -9,14 +9,12 @@ use crate::arguments::full_name;
 use crate::call::{Caller, action_of, node_serving, nodes_serving};
 use crate::component::MANAGER;
 use crate::msg::Finder;
-use crate::verb::{End, Outcome};
-use clap_complete::engine::{
-    ArgValueCandidates, ArgValueCompleter, CompletionCandidate, PathCompleter, ValueCompleter,
-};
+use crate::verb::End;
+use clap_complete::engine::{ArgValueCompleter, CompletionCandidate, PathCompleter, ValueCompleter};
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::path::PathBuf;
-use std::sync::mpsc;
+use std::sync::{Arc, mpsc};
 use std::thread;
 use std::time::Duration;
 use tautline::composition_interfaces::srv::ListNodes;
@@ -26,7 +24,7 @@ use tautline_definitions::find_schema;
 use tautline_msgs::Service;
 use tautline_rt::clock::test_time;
 use tautline_schema::{Kind, TypeName};
-use tautline_transport::{ServiceKind, graph_of};
+use tautline_transport::{GraphSnapshot, ServiceKind, graph_of};
 
 /// The time after its start at which this process answers: people notice 100 ms, and the shell needs a part of them.
 const LIMIT: Duration = Duration::from_millis(80);
@@ -35,12 +33,22 @@ const PATIENCE: Duration = Duration::from_millis(60);
 
 /// Names, each with a description for shells that show one.
 type Names = BTreeMap<String, String>;
-type Found<T = Names> = Outcome<Option<T>>;
 /// The source may return only names that begin with the word.
-type Find = fn(asked: &'static Asked, word: &str) -> Found;
+type Find = fn(asked: &'static Asked, word: &str) -> Option<Names>;
 
 fn completer(find: Find) -> ArgValueCompleter {
     ArgValueCompleter::new(move |word: &OsStr| offered(find, word).unwrap_or_default())
+}
+
+/// Names without descriptions.
+fn bare(names: impl IntoIterator<Item = impl ToString>) -> Names {
+    names.into_iter().map(|name| (name.to_string(), String::new())).collect()
+}
+
+impl Asked {
+    fn graph(&self) -> Option<Arc<GraphSnapshot>> {
+        graph_of(self.line.domain()?).ok()
+    }
 }
 
 fn offered(find: Find, word: &OsStr) -> Option<Vec<CompletionCandidate>> {
@@ -48,7 +56,7 @@ fn offered(find: Find, word: &OsStr) -> Option<Vec<CompletionCandidate>> {
     let (tell, told) = mpsc::channel();
     let typed = word.to_owned();
     thread::spawn(move || tell.send(find(asked, &typed)));
-    let names = told.recv_timeout(test_time(LIMIT).saturating_sub(asked.since.elapsed())).ok()?.ok()??;
+    let names = told.recv_timeout(test_time(LIMIT).saturating_sub(asked.since.elapsed())).ok()??;
     let candidate = |(name, of_type): (String, String)| {
         if !asked.shell_takes(&name) {
             return None;
@@ -77,64 +85,46 @@ fn shorter(name: &str) -> Option<String> {
 
 pub fn topics() -> ArgValueCompleter {
     completer(|asked, _| {
-        let Some(domain) = asked.line.domain() else { return Ok(None) };
-        let graph = graph_of(domain)?;
-        let name = |end: &std::sync::Arc<tautline_transport::TopicEndpoint>| {
-            (end.topic.clone(), end.topic_type.name.to_string())
-        };
-        Ok(Some(graph.endpoints.iter().map(name).collect()))
+        let graph = asked.graph()?;
+        let named = graph.endpoints.iter().map(|end| (end.topic.clone(), end.topic_type.name.to_string()));
+        Some(named.collect())
     })
 }
 
 pub fn topic_types() -> ArgValueCompleter {
-    completer(|asked, _| {
-        let Some(domain) = asked.line.domain() else { return Ok(None) };
-        let graph = graph_of(domain)?;
-        Ok(Some(graph.endpoints.iter().map(|end| (end.topic_type.name.to_string(), String::new())).collect()))
-    })
+    completer(|asked, _| Some(bare(asked.graph()?.endpoints.iter().map(|end| &end.topic_type.name))))
 }
 
 /// The types of the topic on the line; if it does not exist, of all topics and of the installed packages.
 pub fn message_types() -> ArgValueCompleter {
     completer(|asked, _| {
-        let (Some(domain), [topic]) = (asked.line.domain(), &asked.line.words[..asked.line.place]) else {
-            return Ok(None);
-        };
-        let (graph, topic) = (graph_of(domain)?, full_name(topic));
+        let [topic] = &asked.line.words[..asked.line.place] else { return None };
+        let (graph, topic) = (asked.graph()?, full_name(topic));
         let its_own = graph.endpoints.iter().filter(|end| end.topic == topic);
-        let its_own: Names = its_own.map(|end| (end.topic_type.name.to_string(), String::new())).collect();
+        let its_own = bare(its_own.map(|end| &end.topic_type.name));
         if !its_own.is_empty() {
-            return Ok(Some(its_own));
+            return Some(its_own);
         }
-        let messages = known(asked)?.map(|types| types.filter(|name| name.kind() == Kind::Msg));
-        Ok(messages.map(|types| types.map(|name| (name.to_string(), String::new())).collect()))
+        Some(bare(known(asked)?.filter(|name| name.kind() == Kind::Msg)))
     })
 }
 
 /// The paths of the fields of the topic on the line.
 pub fn fields() -> ArgValueCompleter {
     completer(|asked, word| {
-        let (Some(domain), Some(topic)) = (asked.line.domain(), asked.line.words.first()) else {
-            return Ok(None);
-        };
-        let (graph, topic) = (graph_of(domain)?, full_name(topic));
-        let Some(end) = graph.endpoints.iter().find(|end| end.topic == topic) else { return Ok(None) };
-        let schema = find_schema(&topic, &end.topic_type.name.parse()?, Some(&end.topic_type))?;
-        Ok(Some(paths::of(&schema, word).into_iter().collect()))
+        let (graph, topic) = (asked.graph()?, full_name(asked.line.words.first()?));
+        let end = graph.endpoints.iter().find(|end| end.topic == topic)?;
+        let schema = find_schema(&topic, &end.topic_type.name.parse().ok()?, Some(&end.topic_type)).ok()?;
+        Some(paths::of(&schema, word).into_iter().collect())
     })
 }
 
 pub fn nodes() -> ArgValueCompleter {
-    completer(|asked, _| {
-        let Some(domain) = asked.line.domain() else { return Ok(None) };
-        let graph = graph_of(domain)?;
-        Ok(Some(graph.nodes.iter().map(|node| (node.name.full_name(), String::new())).collect()))
-    })
+    completer(|asked, _| Some(bare(asked.graph()?.nodes.iter().map(|node| node.name.full_name()))))
 }
 
-fn having(asked: &Asked, service: &str) -> Found {
-    let Some(domain) = asked.line.domain() else { return Ok(None) };
-    Ok(Some(nodes_serving(domain, service)?.into_iter().map(|node| (node, String::new())).collect()))
+fn having(asked: &Asked, service: &str) -> Option<Names> {
+    Some(bare(nodes_serving(asked.line.domain()?, service).ok()?))
 }
 
 pub fn parameter_nodes() -> ArgValueCompleter {
@@ -155,11 +145,14 @@ pub fn containers() -> ArgValueCompleter {
 }
 
 /// The services or actions of the domain. `of` selects them by the name and type of a service.
-fn ends(asked: &Asked, with_servers: bool, of: impl Fn(&str, &str) -> Option<(String, String)>) -> Found {
-    let Some(domain) = asked.line.domain() else { return Ok(None) };
-    let graph = graph_of(domain)?;
+fn ends(
+    asked: &Asked,
+    with_servers: bool,
+    of: impl Fn(&str, &str) -> Option<(String, String)>,
+) -> Option<Names> {
+    let graph = asked.graph()?;
     let ends = graph.services.iter().filter(|end| !with_servers || end.kind == ServiceKind::Server);
-    Ok(Some(ends.filter_map(|end| of(&end.name, &end.type_name)).collect()))
+    Some(ends.filter_map(|end| of(&end.name, &end.type_name)).collect())
 }
 
 fn service(name: &str, type_name: &str) -> Option<(String, String)> {
@@ -192,8 +185,8 @@ pub fn action_servers() -> ArgValueCompleter {
 }
 
 /// The types with which the service or action on the line is served.
-fn types_served(asked: &Asked, of: fn(&str, &str) -> Option<(String, String)>) -> Found {
-    let [name] = &asked.line.words[..asked.line.place] else { return Ok(None) };
+fn types_served(asked: &Asked, of: fn(&str, &str) -> Option<(String, String)>) -> Option<Names> {
+    let [name] = &asked.line.words[..asked.line.place] else { return None };
     let name = full_name(name);
     let of_this = |service: &str, type_name: &str| {
         let (_, type_name) = of(service, type_name).filter(|(service, _)| *service == name)?;
@@ -213,69 +206,53 @@ pub fn action_types() -> ArgValueCompleter {
 }
 
 /// The types that `taut interface list` lists.
-fn known(asked: &Asked) -> Found<impl Iterator<Item = TypeName> + use<>> {
-    let Some(domain) = asked.line.domain() else { return Ok(None) };
+fn known(asked: &Asked) -> Option<impl Iterator<Item = TypeName> + use<>> {
     let folders: Vec<PathBuf> = asked.line.options("path").map(PathBuf::from).collect();
-    Ok(Some(Finder::new(&folders).in_domain(domain).list()?.into_iter()))
+    Some(Finder::new(&folders).in_domain(asked.line.domain()?).list().ok()?.into_iter())
 }
 
 /// The packages that have types.
 pub fn packages() -> ArgValueCompleter {
-    completer(|asked, _| {
-        let packages = |types: &mut dyn Iterator<Item = TypeName>| {
-            types.map(|name| (name.package().to_owned(), String::new())).collect()
-        };
-        Ok(known(asked)?.map(|mut types| packages(&mut types)))
-    })
+    completer(|asked, _| Some(known(asked)?.map(|name| (name.package().to_owned(), String::new())).collect()))
 }
 
 /// Known types, or files with definitions.
 pub fn interfaces() -> ArgValueCompleter {
-    let types: Find = |asked, _| {
-        let names = known(asked)?.map(|types| types.map(|name| (name.to_string(), String::new())));
-        Ok(names.map(Iterator::collect))
-    };
-    ArgValueCompleter::new(move |word: &OsStr| match word.to_str() {
+    ArgValueCompleter::new(|word: &OsStr| match word.to_str() {
         Some(text) if !text.starts_with(['.', '/', '~']) => {
-            let mut found = offered(types, word).unwrap_or_default();
-            if found.is_empty() {
-                found = PathCompleter::any().complete(word);
-            }
-            found
+            let found = offered(|asked, _| Some(bare(known(asked)?)), word).unwrap_or_default();
+            if found.is_empty() { PathCompleter::any().complete(word) } else { found }
         }
         _ => PathCompleter::any().complete(word),
     })
 }
 
 /// The response of a node's service, if it arrives in time.
-fn answer<T: Service>(asked: &Asked, node: &str, service: &str, request: T::Request) -> Found<T::Response> {
-    let Some(domain) = asked.line.domain() else { return Ok(None) };
-    let node = node_serving(domain, node, service, "")?;
-    let mut caller = Caller::new(domain, End::at(asked.since + test_time(PATIENCE))?)?;
-    caller.call::<T>(&format!("{node}/{service}"), request).map(Some)
+fn answer<T: Service>(asked: &Asked, node: &str, service: &str, request: T::Request) -> Option<T::Response> {
+    let domain = asked.line.domain()?;
+    let node = node_serving(domain, node, service, "").ok()?;
+    let mut caller = Caller::new(domain, End::at(asked.since + test_time(PATIENCE)).ok()?).ok()?;
+    caller.call::<T>(&format!("{node}/{service}"), request).ok()
 }
 
 /// The parameters of the node on the line, requested from the node.
 pub fn parameters() -> ArgValueCompleter {
     completer(|asked, _| {
-        let Some((node, named)) = asked.line.words.split_first() else { return Ok(None) };
+        let (node, named) = asked.line.words.split_first()?;
         let request = ListParameters::Request::default();
         let answer = answer::<ListParameters::Service>(asked, node, "list_parameters", request)?;
-        let names = answer.map(|answer| answer.result.names).unwrap_or_default();
-        let others = names.into_iter().filter(|name| !named.contains(name));
-        Ok(Some(others.map(|name| (name, String::new())).collect()))
+        Some(bare(answer.result.names.into_iter().filter(|name| !named.contains(name))))
     })
 }
 
 /// The transitions that are possible for the node on the line.
 pub fn transitions() -> ArgValueCompleter {
     completer(|asked, _| {
-        let Some(node) = asked.line.words.first() else { return Ok(None) };
+        let node = asked.line.words.first()?;
         let (service, request) = ("get_available_transitions", GetAvailableTransitions::Request::default());
         let answer = answer::<GetAvailableTransitions::Service>(asked, node, service, request)?;
-        let all = answer.map(|answer| answer.available_transitions).unwrap_or_default();
-        let goal = |goal: &str| format!("to {goal}");
-        Ok(Some(all.into_iter().map(|one| (one.transition.label, goal(&one.goal_state.label))).collect()))
+        let all = answer.available_transitions.into_iter();
+        Some(all.map(|one| (one.transition.label, format!("to {}", one.goal_state.label))).collect())
     })
 }
 
@@ -284,16 +261,8 @@ pub fn components() -> ArgValueCompleter {
     completer(|asked, _| {
         let container = asked.line.option("container").unwrap_or(MANAGER);
         let request = ListNodes::Request::default();
-        let answer = answer::<ListNodes::Service>(asked, container, "_container/list_nodes", request)?;
-        let Some(listed) = answer else { return Ok(None) };
-        let ids = listed.unique_ids.iter().map(u64::to_string);
-        Ok(Some(ids.zip(listed.full_node_names).collect()))
-    })
-}
-
-pub fn levels() -> ArgValueCandidates {
-    ArgValueCandidates::new(|| {
-        ["debug", "info", "warn", "error", "fatal"].map(CompletionCandidate::new).into()
+        let listed = answer::<ListNodes::Service>(asked, container, "_container/list_nodes", request)?;
+        Some(listed.unique_ids.iter().map(u64::to_string).zip(listed.full_node_names).collect())
     })
 }
 

@@ -360,4 +360,4 @@ fn ms(ns: u64) -> f64 {
 }
 
 #[cfg(test)]
-mod tests;
+pub mod tests;

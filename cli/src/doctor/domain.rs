@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Faults in a domain: mixed versions, duplicate names, incompatible endpoints, files of killed processes, too little shared memory.
 
-use super::finding::{Finding, Verdict, size};
+use super::finding::{Finding, Verdict};
 use super::host::Tree;
 use crate::compatibility;
+use indicatif::BinaryBytes;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::os::unix::fs::MetadataExt;
@@ -119,7 +120,7 @@ fn left_behind(domain: u32) -> super::finding::Checked {
     }
     // Older versions left files without a folder.
     left.extend(list(&format!("{folder}_"))?);
-    let bytes = |paths: &[PathBuf]| size(paths.iter().map(|path| taken(path)).sum());
+    let bytes = |paths: &[PathBuf]| BinaryBytes(paths.iter().map(|path| taken(path)).sum());
     let path = Path::new(shm::DIRECTORY).join(&folder);
     let path = path.display();
     if left.is_empty() && traces.is_empty() {
@@ -149,7 +150,7 @@ pub fn dead_domains(remove: bool) -> super::finding::Checked {
     for (domain, folder) in folders {
         let files = shm::list(&format!("{folder}/")).map_err(|error| error.to_string())?;
         let scope = folder.split_once('.').map(|(_, scope)| format!(" of scope {scope}")).unwrap_or_default();
-        let bytes = size(files.iter().map(|path| taken(path)).sum());
+        let bytes = BinaryBytes(files.iter().map(|path| taken(path)).sum());
         let what = format!("domain {domain}{scope} ({} files, {bytes})", files.len());
         if remove && remove_dead_domain(&folder) {
             removed.push(what);
@@ -179,14 +180,14 @@ pub fn free_bytes(tree: &Tree) -> Result<u64, String> {
 fn memory(tree: &Tree, domain: u32) -> super::finding::Checked {
     let files = shm::list(&format!("{}/", shared_folder(domain))).map_err(|error| error.to_string())?;
     let (free, taken) = (free_bytes(tree)?, files.iter().map(|path| taken(path)).sum::<u64>());
-    let value = format!("{} free, domain {domain} has {}", size(free), size(taken));
+    let value = format!("{} free, domain {domain} has {}", BinaryBytes(free), BinaryBytes(taken));
     let verdict = match free {
         _ if free < LEAST_BYTES => Verdict::Bad,
         _ if free < taken => Verdict::Advice,
         _ => return Ok(Finding::good(value)),
     };
     let value = match verdict {
-        Verdict::Bad => format!("{value}: not enough for one more process ({})", size(LEAST_BYTES)),
+        Verdict::Bad => format!("{value}: not enough for one more process ({})", BinaryBytes(LEAST_BYTES)),
         _ => format!("{value}: not enough to start as much again beside it"),
     };
     Ok(Finding::new(verdict, value)

@@ -131,15 +131,6 @@ pub fn is_fit(findings: &[Finding]) -> bool {
     findings.iter().all(|finding| finding.verdict > Verdict::Unknown)
 }
 
-/// A size of memory, in the format of `df -h`.
-pub fn size(bytes: u64) -> String {
-    let units = [(30, "GiB"), (20, "MiB"), (10, "KiB")];
-    match units.iter().find(|(shift, _)| bytes >= 1 << shift) {
-        Some((shift, name)) => format!("{:.1} {name}", bytes as f64 / f64::from(1_u32 << shift)),
-        None => format!("{bytes} B"),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -160,6 +151,5 @@ mod tests {
         let mut out = Vec::new();
         finding.write(&mut out).unwrap();
         assert!(String::from_utf8(out).unwrap().ends_with("x: a [31m b\n"));
-        assert_eq!([size(999), size(1536), size(3 << 30)], ["999 B", "1.5 KiB", "3.0 GiB"]);
     }
 }

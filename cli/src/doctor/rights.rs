@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Permissions of this user: real-time priorities, locked memory, real-time threads in its cpu cgroup, files in /dev/shm after logout.
 
-use super::finding::{Checked, Cost, Finding, Verdict, size};
+use super::finding::{Checked, Cost, Finding, Verdict};
 use super::host::{Host, Tree};
+use indicatif::BinaryBytes;
 use std::collections::BTreeMap;
 use tautline_rt::RtError;
 use tautline_rt::permission::{cpu_group, realtime_permitted};
@@ -62,7 +63,7 @@ pub fn locked_memory(host: &Host) -> Checked {
     }
     Ok(match limit {
         None => Finding::good("without a limit"),
-        Some(bytes) => Finding::new(Verdict::Bad, format!("at most {} (RLIMIT_MEMLOCK)", size(bytes)))
+        Some(bytes) => Finding::new(Verdict::Bad, format!("at most {} (RLIMIT_MEMLOCK)", BinaryBytes(bytes)))
             .costs(REFUSED)
             .fix(format!(
                 "add the line `@realtime - memlock unlimited` to {LIMITS}, join the group realtime and log in again; for a unit of systemd LimitMEMLOCK=infinity"

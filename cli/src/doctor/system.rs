@@ -2,10 +2,12 @@
 //! `--system`: whether a system file fits this host. `taut check` says whether it is schedulable.
 
 use super::domain::free_bytes;
-use super::finding::{Checked, Cost, Finding, Verdict, size};
+use super::finding::{Checked, Cost, Finding, Verdict};
 use super::host::Host;
 use super::kernel::allowance;
+use crate::check::{read_file, this_host};
 use crate::verb::{Failure, Outcome};
+use indicatif::BinaryBytes;
 use std::path::Path;
 use tautline::{CoreSet, Limits, Policy, topic_memory};
 use tautline_analysis::Reservation;
@@ -23,19 +25,10 @@ pub struct System {
 }
 
 impl System {
-    /// The host is `TAUT_HOST`, or the only one.
     pub fn read(path: &Path) -> Outcome<Self> {
-        let file = SystemFile::read(path).map_err(|error| {
-            crate::check::print_file_error(&error);
-            Failure::unusable("")
-        })?;
-        let wanted = std::env::var("TAUT_HOST").ok().filter(|host| !host.is_empty());
-        let host = file.host(wanted.as_deref()).map(str::to_owned).map_err(|hosts| {
-            let path = path.display();
-            Failure::unusable(format!("which of {path}'s hosts is this? TAUT_HOST=<{}>", hosts.join(", ")))
-        })?;
-        let checked = file.check();
-        Ok(System { file, checked, host })
+        let file = read_file(path)?;
+        let host = this_host(&file, &path.display().to_string()).map_err(Failure::unusable)?.to_owned();
+        Ok(System { checked: file.check(), file, host })
     }
 
     /// The cores of this host, with their positions in the file.
@@ -191,12 +184,15 @@ impl System {
             bytes = bytes.saturating_add(memory.claimed_bytes as u64);
         }
         let free = free_bytes(&host.tree)?;
-        let mut value =
-            format!("its topics claim {} with one publisher each, {} are free", size(bytes), size(free));
+        let mut value = format!(
+            "its topics claim {} with one publisher each, {} are free",
+            BinaryBytes(bytes),
+            BinaryBytes(free)
+        );
         if variable > 0 {
             value += &format!(
                 "; {variable} of no fixed size are counted with {} a message",
-                size(limits.message_bytes as u64)
+                BinaryBytes(limits.message_bytes as u64)
             );
         }
         let grow = "mount -o remount,size=4G /dev/shm, or lower depths (docs/memory.md)";

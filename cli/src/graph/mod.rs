@@ -11,6 +11,7 @@ mod picture;
 mod svg;
 mod text;
 
+use crate::check::read_file;
 use crate::completions;
 use crate::rates::RateMeter;
 use crate::verb::{CommonArgs, Failure, Outcome, time};
@@ -22,7 +23,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
-use tautline_analysis::file::{CheckedSystem, SystemFile};
+use tautline_analysis::file::CheckedSystem;
 use tautline_transport::Visitor;
 
 /// Draws nodes, topics and rates, as text, SVG, DOT or Mermaid
@@ -105,7 +106,7 @@ impl Format {
 
 pub fn run(args: &GraphArgs) -> Outcome {
     let format = format_of(args)?;
-    let checked = args.system.as_deref().map(read).transpose()?;
+    let checked = args.system.as_deref().map(read_file).transpose()?.map(|file| file.check());
     let picture = gather_picture(args, checked.as_ref())?;
     let written = format.write(&picture);
     if format == Format::Mermaid && (picture.edges.len() > 500 || written.len() > 50_000) {
@@ -145,17 +146,6 @@ fn format_of(args: &GraphArgs) -> Outcome<Format> {
                 "`{path}` does not say which format: .txt, .svg, .dot, .gv, .mmd and .json do, or --format"
             ))
         }),
-    }
-}
-
-/// Reads a system file as `taut check` does.
-fn read(path: &Path) -> Outcome<CheckedSystem> {
-    match SystemFile::read(path) {
-        Ok(file) => Ok(file.check()),
-        Err(error) => {
-            crate::check::print_file_error(&error);
-            Err(Failure::unusable(""))
-        }
     }
 }
 

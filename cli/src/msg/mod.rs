@@ -13,7 +13,6 @@ use crate::verb::Outcome;
 use clap::{Args, Subcommand};
 use std::io::{self, Write};
 use std::path::PathBuf;
-use std::process::ExitCode;
 use tautline_schema::{MessageError, SchemaError};
 
 /// Shows definitions, hashes and layouts of ROS 2 types; decodes messages.
@@ -83,7 +82,7 @@ impl MsgError {
     }
 }
 
-pub fn run(args: MsgArgs) -> Outcome<ExitCode> {
+pub fn run(args: MsgArgs) -> Outcome {
     // A domain that cannot be read has no types.
     let domain = tautline::Context::domain_of_environment().unwrap_or_default();
     let mut finder = Finder::new(&args.path).in_domain(domain);
@@ -95,8 +94,7 @@ pub fn run(args: MsgArgs) -> Outcome<ExitCode> {
         Verb::Hash { names } => hashes(&mut finder, names, args.json)?,
         Verb::Decode(decode) => decode::run(&mut finder, decode, args.json)?,
     };
-    crate::print::stdout().write_all(text.as_bytes())?;
-    Ok(ExitCode::SUCCESS)
+    Ok(crate::print::stdout().write_all(text.as_bytes())?)
 }
 
 /// Prints a line for each type, with its name if there are several.

@@ -28,7 +28,7 @@ struct Message {
     name: String,
     constants: Vec<Constant>,
     fields: Vec<Field>,
-    size: Bytes,
+    size: Size,
     /// The C struct with the layout of its bytes, if there is one.
     plain: Option<Struct>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -48,20 +48,12 @@ struct Field {
     #[serde(rename = "type")]
     ty: String,
     name: String,
-    offset: Bytes,
-    size: Bytes,
+    offset: Size,
+    size: Size,
     #[serde(skip_serializing_if = "String::is_empty")]
     default: String,
     #[serde(skip_serializing_if = "String::is_empty")]
     docs: String,
-}
-
-/// A number, or a formula.
-#[derive(Serialize)]
-#[serde(untagged)]
-enum Bytes {
-    Fixed(usize),
-    Formula(String),
 }
 
 #[derive(Serialize)]
@@ -133,8 +125,8 @@ impl Message {
         let fields = fields.into_iter().zip(&definition.fields).map(|(layout, field)| Field {
             ty: layout.ty.to_string(),
             name: layout.name,
-            offset: layout.offset.into(),
-            size: layout.size.into(),
+            offset: layout.offset,
+            size: layout.size,
             default: field.default.as_ref().map_or_else(String::new, ToString::to_string),
             docs: field.docs.clone(),
         });
@@ -147,7 +139,7 @@ impl Message {
             name: definition.name.to_string(),
             constants: constants.collect(),
             fields: fields.collect(),
-            size: size.into(),
+            size,
             not_plain: plain.as_ref().err().map(ToString::to_string),
             plain: plain.ok().map(|Plain { size, align, .. }| Struct { size, align }),
         }
@@ -158,7 +150,8 @@ impl Message {
         let rows = self.fields.iter().map(|field| {
             let default =
                 if field.default.is_empty() { String::new() } else { format!(" {}", field.default) };
-            [field.ty.clone(), format!("{}{default}", field.name), field.offset.text(), field.size.text()]
+            let (offset, size) = (field.offset.to_string(), field.size.to_string());
+            [field.ty.clone(), format!("{}{default}", field.name), offset, size]
         });
         let rows: Vec<_> = std::iter::once(header).chain(rows).collect();
         // A formula may be long, but what comes after it is short.
@@ -172,39 +165,13 @@ impl Message {
         for constant in &self.constants {
             let _ = writeln!(text, "  {} {}={}", constant.ty, constant.name, constant.value);
         }
-        let _ = match (&self.plain, &self.not_plain) {
-            (Some(Struct { size, align }), _) => writeln!(
-                text,
-                "  {} bytes; plain: a C struct of {size} bytes aligned to {align}, read and written in place",
-                self.size.text()
-            ),
-            (None, reason) => {
-                writeln!(
-                    text,
-                    "  {} bytes; not plain: {}",
-                    self.size.text(),
-                    reason.as_deref().unwrap_or_default()
-                )
+        let plain = match (&self.plain, &self.not_plain) {
+            (Some(Struct { size, align }), _) => {
+                format!("plain: a C struct of {size} bytes aligned to {align}, read and written in place")
             }
+            (None, reason) => format!("not plain: {}", reason.as_deref().unwrap_or_default()),
         };
-    }
-}
-
-impl Bytes {
-    fn text(&self) -> String {
-        match self {
-            Self::Fixed(bytes) => bytes.to_string(),
-            Self::Formula(formula) => formula.clone(),
-        }
-    }
-}
-
-impl From<Size> for Bytes {
-    fn from(size: Size) -> Self {
-        match size {
-            Size::Fixed(bytes) => Self::Fixed(bytes),
-            Size::Formula(formula) => Self::Formula(formula),
-        }
+        let _ = writeln!(text, "  {} bytes; {plain}", self.size);
     }
 }
 

@@ -12,6 +12,7 @@ use crate::table::write_table;
 use crate::times::Times;
 use crate::verb::{CommonArgs, End, Failure, Outcome, print_line, time};
 use clap::Args;
+use indicatif::DecimalBytes;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -309,8 +310,8 @@ impl Meter {
         let now_ns = self.now_ns();
         let row = |flow: &Flow| {
             let rate = format!("{:.3}", flow.hz(now_ns));
-            let bytes = format!("{}/s", size(flow.bytes_per_second(now_ns)));
-            let mean = flow.mean_bytes().map_or("-".into(), |mean| size(mean as f64));
+            let bytes = format!("{}/s", DecimalBytes(flow.bytes_per_second(now_ns) as u64));
+            let mean = flow.mean_bytes().map_or("-".into(), |mean| DecimalBytes(mean).to_string());
             let n = flow.messages().to_string();
             let mut cells = vec![flow.label.clone()];
             match unit {
@@ -322,7 +323,9 @@ impl Meter {
                 }
                 Unit::Bytes => {
                     let (least, most) = match flow.sizes.filter(|_| flow.unseen == 0) {
-                        Some((least, most)) => (size(least as f64), size(most as f64)),
+                        Some((least, most)) => {
+                            (DecimalBytes(least).to_string(), DecimalBytes(most).to_string())
+                        }
                         None => ("-".into(), "-".into()),
                     };
                     cells.extend([bytes, mean, least, most, rate, n]);
@@ -378,14 +381,6 @@ fn label(graph: &GraphSnapshot, topic: &str, gid: Gid) -> String {
 
 fn is_elsewhere(graph: &GraphSnapshot, topic: &str) -> bool {
     ends(graph, topic).any(|end| end.is_remote && end.kind == EndpointKind::Publisher)
-}
-
-fn size(bytes: f64) -> String {
-    let units = [("GB", 1e9), ("MB", 1e6), ("kB", 1e3)];
-    match units.iter().find(|(_, unit)| bytes >= *unit) {
-        Some((name, unit)) => format!("{:.2} {name}", bytes / unit),
-        None => format!("{bytes:.0} B"),
-    }
 }
 
 pub fn run(args: &RateArgs, unit: Unit, common: &CommonArgs) -> Outcome {

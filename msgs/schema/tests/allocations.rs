@@ -1,41 +1,21 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A length that bytes claim never makes the decoder allocate more than there are bytes.
 
-use std::alloc::{GlobalAlloc, Layout, System};
+#[path = "../../tests/support/heap.rs"]
+mod heap;
+
 use std::cell::Cell;
 use std::sync::Arc;
 
 use tautline_schema::{DynamicMessage, Endian, Schema};
 
-/// Remembers the largest allocation of this thread.
-struct Largest;
-
 thread_local! {
     static LARGEST: Cell<usize> = const { Cell::new(0) };
 }
 
-// SAFETY: forwards to the system's allocator, unchanged.
-unsafe impl GlobalAlloc for Largest {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        LARGEST.set(LARGEST.get().max(layout.size()));
-        // SAFETY: the caller keeps the contract of `alloc`.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller keeps the contract of `dealloc`.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        LARGEST.set(LARGEST.get().max(size));
-        // SAFETY: the caller keeps the contract of `realloc`.
-        unsafe { System.realloc(pointer, layout, size) }
-    }
-}
-
 #[global_allocator]
-static ALLOCATOR: Largest = Largest;
+static ALLOCATOR: heap::Watched =
+    heap::Watched(|bytes| LARGEST.set(LARGEST.get().max(bytes.unwrap_or_default())));
 
 /// What a fault's path and text need.
 const ERROR_BYTES: usize = 256;

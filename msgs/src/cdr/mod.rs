@@ -38,6 +38,7 @@ pub use form::{Bound, Bounded, Form, WString};
 pub(crate) use reader::SLACK;
 pub use reader::{Endian, Reader};
 pub use seq::{Iter, Seq};
+pub(crate) use view::fits_stack;
 #[doc(hidden)]
 pub use view::view_message;
 pub use view::{BoundView, View};

@@ -2,7 +2,6 @@
 //! Reading in place: what a getter returns for each form.
 
 use crate::cdr::{Bound, Bounded, DecodeError, DecodeFault, Endian, Fault, Form, Reader, WStr, WString};
-use crate::plain::fits_stack;
 use crate::{Body, Message, Plain};
 
 /// A form that is read in place: a number by value; text, sequences of numbers and messages of one layout as references
@@ -180,6 +179,11 @@ pub fn array<'a, T, const N: usize>(
     read(reader, N)?
         .first_chunk()
         .ok_or_else(|| Fault::new(start, DecodeFault::End { needed: N, left: reader.left() }))
+}
+
+/// Whether a value may be put on the stack, just to find out what is wrong with it.
+pub(crate) const fn fits_stack<T>() -> bool {
+    size_of::<T>() <= 4096
 }
 
 /// What is wrong with messages that cannot be read in place: read as owned ones, they say which field.

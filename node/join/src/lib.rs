@@ -33,19 +33,25 @@
 #![forbid(unsafe_code)]
 
 mod all_of;
+mod approximate;
 mod counters;
+mod epsilon;
+mod exact;
 mod latest;
+mod latest_time;
 mod policy;
 mod rate;
 mod source;
 mod synchronizer;
 
 pub use all_of::{AllOf, AllOfInputs, all_of};
+pub use approximate::ApproximateTime;
 pub use counters::{InputCounters, JoinCounters};
+pub use epsilon::ApproximateEpsilonTime;
+pub use exact::ExactTime;
 pub use latest::{Kept, Latest, LatestInputs, latest};
-pub use policy::{
-    ApproximateEpsilonTime, ApproximateTime, Arrival, ExactTime, LatestTime, Policy, RateConfig,
-};
+pub use latest_time::{LatestTime, RateConfig};
+pub use policy::{Arrival, Policy};
 pub use rate::RateSynchronizer;
 pub use source::{Plain, Room, Source, Stamped, StampedStream, stamped};
 pub use synchronizer::{Synchronizer, SynchronizerInputs};

@@ -4,7 +4,7 @@
 use crate::JoinError;
 use crate::counters::JoinCounters;
 use crate::latest::{LatestInputs, check_readers};
-use crate::policy::LatestTime;
+use crate::latest_time::LatestTime;
 use futures::Stream;
 use std::pin::Pin;
 use std::sync::Arc;

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The joins as streams: what is passed on and counted, which job is open then, ends, floods, and that nothing is allocated.
 
+#[path = "../../../msgs/tests/support/heap.rs"]
+mod heap;
+
 use futures::channel::mpsc::{UnboundedReceiver, UnboundedSender, unbounded};
 use futures::task::noop_waker_ref;
 use futures::{Stream, StreamExt};
-use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
 use std::pin::Pin;
@@ -18,24 +20,10 @@ use tautline_join::{
 
 thread_local!(static CALLS: Cell<u64> = const { Cell::new(0) });
 
-struct Counting;
-
-// SAFETY: every call is handed on to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        let _ = CALLS.try_with(|calls| calls.set(calls.get() + 1));
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
-        let _ = CALLS.try_with(|calls| calls.set(calls.get() + 1));
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.dealloc(block, layout) }
-    }
-}
-
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
+static ALLOCATOR: heap::Watched = heap::Watched(|_| {
+    let _ = CALLS.try_with(|calls| calls.set(calls.get() + 1));
+});
 
 /// An input that says what it is asked: `+a` where a job of `a` begins, `-a` where it ends.
 struct Input {

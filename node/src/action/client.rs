@@ -119,23 +119,16 @@ struct Goal<P: ActionCodec> {
 }
 
 impl<P: ActionCodec> ActionClientState<P> {
-    /// Makes a client, and the callback that listens for it.
-    fn create(
+    /// The callback that listens for a client.
+    fn listen(
         node: &mut Node,
-        action: &str,
-        send_goal: Client<P::SendGoal>,
-        get_result: Client<P::GetResult>,
+        shared: &Arc<Self>,
         messages: Subscription<P::FeedbackMessage>,
-    ) -> Result<Arc<Self>> {
-        let names = Names::of(action);
-        let (send_goal, get_result) = (PiMutex::new(send_goal), PiMutex::new(get_result));
-        let cancel_goal = PiMutex::new(node.create_client::<CancelGoal::Service>(&names.cancel_goal)?);
-        let status = node.subscribe::<GoalStatusArray>(&names.status, status_qos())?.owned();
-        let (results, requests) = mpsc::unbounded();
-        let goals = PiMutex::new(Vec::new());
-        let name = action.to_owned();
-        let shared = Arc::new(ActionClientState { name, send_goal, get_result, cancel_goal, goals, results });
-        let weak = Arc::downgrade(&shared);
+        requests: mpsc::UnboundedReceiver<ResultToCome>,
+    ) -> Result<()> {
+        let status = Names::of(&shared.name).status;
+        let status = node.subscribe::<GoalStatusArray>(&status, status_qos())?.owned();
+        let weak = Arc::downgrade(shared);
         let listening = Listening(weak.clone());
         let listen = async move {
             let _listening = listening;
@@ -173,8 +166,8 @@ impl<P: ActionCodec> ActionClientState<P> {
                 }
             }
         };
-        node.spawn_for_itself(CallbackOptions::other().name(format!("{action}/_action client")), listen)?;
-        Ok(shared)
+        let options = CallbackOptions::other().name(format!("{}/_action client", shared.name));
+        node.spawn_for_itself(options, listen).map(drop)
     }
 
     fn goals(&self) -> PiGuard<'_, Vec<Goal<P>>> {
@@ -199,11 +192,11 @@ impl<P: ActionCodec> ActionClientState<P> {
 
     fn note(&self, message: &GoalStatusArray) {
         let mut goals = self.goals();
-        for StatusOf { id, status } in message.status_list.iter().map(StatusOf::from) {
+        for message in &message.status_list {
             // An old message must not wake the dead.
-            let goal = goals.iter_mut().find(|goal| goal.id == id);
+            let goal = goals.iter_mut().find(|goal| goal.id == message.goal_info.goal_id.uuid);
             if let Some(goal) = goal.filter(|goal| !goal.status.get().is_terminal()) {
-                goal.status.set(status);
+                goal.status.set(GoalStatus::from_rcl(message.status));
             }
         }
     }
@@ -289,17 +282,6 @@ impl<P: ActionCodec> Drop for Listening<P> {
         if let Some(shared) = self.0.upgrade() {
             shared.goals().iter_mut().for_each(|goal| goal.feedback = None);
         }
-    }
-}
-
-struct StatusOf {
-    id: GoalId,
-    status: GoalStatus,
-}
-
-impl From<&tautline_ros_msgs::action_msgs::msg::GoalStatus> for StatusOf {
-    fn from(message: &tautline_ros_msgs::action_msgs::msg::GoalStatus) -> Self {
-        StatusOf { id: message.goal_info.goal_id.uuid, status: GoalStatus::from_rcl(message.status) }
     }
 }
 
@@ -454,7 +436,17 @@ impl<T: ActionCodec> ActionClient<T> {
         get_result: Client<T::GetResult>,
         feedback: Subscription<T::FeedbackMessage>,
     ) -> Result<Self> {
-        let shared = ActionClientState::create(node, action, send_goal, get_result, feedback)?;
+        let cancel_goal = node.create_client::<CancelGoal::Service>(&Names::of(action).cancel_goal)?;
+        let (results, requests) = mpsc::unbounded();
+        let shared = Arc::new(ActionClientState {
+            name: action.to_owned(),
+            send_goal: PiMutex::new(send_goal),
+            get_result: PiMutex::new(get_result),
+            cancel_goal: PiMutex::new(cancel_goal),
+            goals: PiMutex::new(Vec::new()),
+            results,
+        });
+        ActionClientState::listen(node, &shared, feedback, requests)?;
         Ok(ActionClient { shared })
     }
 

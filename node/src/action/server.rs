@@ -270,24 +270,10 @@ pub(super) fn create<T: Action>(
         }
     };
     node.spawn_for_itself(options.callback.name(format!("{action}/_action")), answer)?;
-    Ok(Requests { requests, _user: user })
-}
-
-/// Keeps the server alive.
-struct Requests<T: Action> {
-    requests: mpsc::Receiver<ActionServerGoalRequest<T>>,
-    _user: Arc<User<T>>,
-}
-
-impl<T: Action> Stream for Requests<T> {
-    type Item = ActionServerGoalRequest<T>;
-
-    fn poll_next(
-        mut self: std::pin::Pin<&mut Self>,
-        context: &mut std::task::Context<'_>,
-    ) -> std::task::Poll<Option<Self::Item>> {
-        self.requests.poll_next_unpin(context)
-    }
+    // The stream keeps the server alive.
+    Ok(requests.inspect(move |_| {
+        let _ = &user;
+    }))
 }
 
 /// Gives a goal to whoever decides on it; if nobody is left, or too many wait for that, it is rejected.

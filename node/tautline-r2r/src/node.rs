@@ -217,6 +217,16 @@ impl Node {
     }
 }
 
+impl TimeSource {
+    /// Shows the time of `/clock`, for `node`, whose time source this is.
+    ///
+    /// # Errors
+    /// As [`tautline::TimeSource::enable_sim_time`].
+    pub fn enable_sim_time(&self, _node: &mut Node) -> Result<()> {
+        (**self).enable_sim_time()
+    }
+}
+
 impl From<tautline::Node> for Node {
     fn from(inner: tautline::Node) -> Self {
         let params = tautline::__private::parameter_map(&inner);

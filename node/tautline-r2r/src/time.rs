@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
-use crate::node::Node;
 use futures::StreamExt;
 use std::sync::{Mutex, PoisonError, Weak};
 use std::time::Duration;
@@ -23,7 +22,7 @@ pub struct Clock(tautline::Clock);
 
 impl Clock {
     /// A clock of this type. A clock of type [`ClockType::RosTime`] shows the system's time until it is
-    /// [attached](TimeSource::attach_ros_clock) to a node's time source: see [`Node::get_ros_clock`].
+    /// [attached](TimeSource::attach_ros_clock) to a node's time source: see [`Node::get_ros_clock`](crate::Node::get_ros_clock).
     ///
     /// # Errors
     /// None.
@@ -67,14 +66,6 @@ impl TimeSource {
         }
         *clock = self.0.clock().into();
         Ok(())
-    }
-
-    /// Shows the time of `/clock`, for `node`, whose time source this is.
-    ///
-    /// # Errors
-    /// As [`tautline::TimeSource::enable_sim_time`].
-    pub fn enable_sim_time(&self, _node: &mut Node) -> Result<()> {
-        self.0.enable_sim_time()
     }
 }
 

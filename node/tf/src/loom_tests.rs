@@ -49,6 +49,16 @@ fn model(check: impl Fn() + Send + Sync + 'static) {
     builder.check(check);
 }
 
+/// A ring of `slots` samples that holds some, for a reader and for a writer, which goes on from the head.
+fn filled(slots: usize, stamps_ns: &[i64]) -> (Arc<Memory>, Arc<Memory>, FrameHead) {
+    let memory = Memory::new(slots);
+    let mut head = FrameHead::default();
+    for stamp_ns in stamps_ns {
+        memory.set(&mut head, *stamp_ns).unwrap();
+    }
+    (memory.clone(), memory, head)
+}
+
 fn assert_whole(found: Result<Option<Edge>, Miss>, asked_ns: i64) {
     match found {
         Ok(Some(edge)) => {
@@ -65,11 +75,7 @@ fn assert_whole(found: Result<Option<Edge>, Miss>, asked_ns: i64) {
 #[test]
 fn loom_no_sample_is_torn_when_the_ring_wraps() {
     model(|| {
-        let memory = Memory::new(2);
-        let mut head = FrameHead::default();
-        memory.set(&mut head, 10).unwrap();
-        memory.set(&mut head, 20).unwrap();
-        let writer = memory.clone();
+        let (memory, writer, mut head) = filled(2, &[10, 20]);
         let writing = thread::spawn(move || writer.set(&mut head, 30).unwrap());
         // Between 10 and 20, which has left the ring sooner or later.
         assert_whole(memory.ring().at(15, CACHE_NS), 15);
@@ -82,10 +88,7 @@ fn loom_no_sample_is_torn_when_the_ring_wraps() {
 #[test]
 fn loom_the_newest_sample_is_found_though_it_is_replaced() {
     model(|| {
-        let memory = Memory::new(2);
-        let mut head = FrameHead::default();
-        memory.set(&mut head, 10).unwrap();
-        let writer = memory.clone();
+        let (memory, writer, mut head) = filled(2, &[10]);
         let writing =
             thread::spawn(move || [20, 30].map(|stamp_ns| writer.set(&mut head, stamp_ns).unwrap()));
         let newest = memory.ring().newest().unwrap().unwrap();
@@ -99,11 +102,7 @@ fn loom_the_newest_sample_is_found_though_it_is_replaced() {
 #[test]
 fn loom_a_late_sample_is_seen_whole_or_not_at_all() {
     model(|| {
-        let memory = Memory::new(2);
-        let mut head = FrameHead::default();
-        memory.set(&mut head, 10).unwrap();
-        memory.set(&mut head, 30).unwrap();
-        let writer = memory.clone();
+        let (memory, writer, mut head) = filled(2, &[10, 30]);
         let writing = thread::spawn(move || writer.set(&mut head, 20).unwrap());
         // Between 10 and 30, then between 20 and 30.
         assert_whole(memory.ring().at(25, CACHE_NS), 25);
@@ -115,11 +114,7 @@ fn loom_a_late_sample_is_seen_whole_or_not_at_all() {
 #[test]
 fn loom_a_late_sample_that_takes_no_place_hides_nothing() {
     model(|| {
-        let memory = Memory::new(4);
-        let mut head = FrameHead::default();
-        memory.set(&mut head, 10).unwrap();
-        memory.set(&mut head, 30).unwrap();
-        let writer = memory.clone();
+        let (memory, writer, mut head) = filled(4, &[10, 30]);
         let writing = thread::spawn(move || writer.set(&mut head, 20).unwrap());
         let found = memory.ring().at(15, CACHE_NS);
         assert!(matches!(found, Ok(Some(edge)) if edge.transform.translation[0] == 15.0), "{found:?}");
@@ -130,11 +125,7 @@ fn loom_a_late_sample_that_takes_no_place_hides_nothing() {
 #[test]
 fn loom_a_cleared_ring_gives_nothing_or_what_was_there() {
     model(|| {
-        let memory = Memory::new(2);
-        let mut head = FrameHead::default();
-        memory.set(&mut head, 10).unwrap();
-        memory.set(&mut head, 20).unwrap();
-        let writer = memory.clone();
+        let (memory, writer, mut head) = filled(2, &[10, 20]);
         let writing = thread::spawn(move || {
             writer.ring().clear(&mut head);
             writer.set(&mut head, 5).unwrap();

@@ -186,7 +186,6 @@ impl Ring<'_> {
         }
     }
 
-    /// The newest sample.
     pub(crate) fn newest(&self) -> Result<Option<Sample>, Miss> {
         for _ in 0..TRIES {
             // Acquire: pairs with the Release in `set`.

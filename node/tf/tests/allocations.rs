@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A buffer allocates when it is made, what its limits say, and never after: counted per thread.
 
+#[path = "../../../msgs/tests/support/heap.rs"]
+mod heap;
 mod support;
 
-use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::future::Future;
 use std::pin::pin;
@@ -12,39 +13,16 @@ use std::task::{Context, Waker};
 use support::at_x;
 use tautline_tf::{Buffer, Kind, Limits, Time, TransformStamped};
 
-struct Counting;
-
 thread_local! {
     static HEAP_CALLS: Cell<u64> = const { Cell::new(0) };
     static HEAP_BYTES: Cell<usize> = const { Cell::new(0) };
 }
 
-fn count(bytes: usize) {
-    let _ = HEAP_CALLS.try_with(|calls| calls.set(calls.get() + 1));
-    let _ = HEAP_BYTES.try_with(|all| all.set(all.get() + bytes));
-}
-
-// SAFETY: every call is handed on to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count(layout.size());
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
-        count(0);
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.dealloc(block, layout) }
-    }
-    unsafe fn realloc(&self, block: *mut u8, layout: Layout, bytes: usize) -> *mut u8 {
-        count(bytes);
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.realloc(block, layout, bytes) }
-    }
-}
-
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
+static ALLOCATOR: heap::Watched = heap::Watched(|bytes| {
+    let _ = HEAP_CALLS.try_with(|calls| calls.set(calls.get() + 1));
+    let _ = HEAP_BYTES.try_with(|all| all.set(all.get() + bytes.unwrap_or_default()));
+});
 
 const CYCLES: i64 = 10_000;
 

@@ -24,7 +24,6 @@ use observers::Observers;
 use reader::{Pace, Reader};
 use statement::Statement;
 use std::collections::BTreeMap;
-use std::io::Write;
 use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -32,6 +31,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use taut_cli::completions;
 use taut_cli::date::date;
+pub use taut_cli::verb::print_line as say;
 use taut_cli::verb::{CommonArgs, End, Failure, Outcome, time};
 use tautline_bag::{BagError, Compression, Options, Writer};
 use tautline_rt::{self as rt, CoreSet, MemoryLock, Policy, ThreadBuilder};
@@ -346,11 +346,6 @@ fn watch(
     }
     progress.finish_and_clear();
     Ok(observers)
-}
-
-/// Prints a line to standard error. An error is ignored, because a closed terminal must not end a recording.
-pub fn say(words: &str) {
-    let _ = writeln!(taut_cli::print::stderr(), "{words}");
 }
 
 /// A progress bar, which is hidden without a terminal and with JSON.

@@ -4,6 +4,7 @@ use std::time::Duration;
 use tautline_analysis::Task;
 
 use super::*;
+use crate::demo::report::tests::of_topics;
 use crate::demo::report::{Costs, TopicRun, topic_reports};
 
 fn topic(latencies_ms: &[f64]) -> TopicReport {
@@ -12,29 +13,6 @@ fn topic(latencies_ms: &[f64]) -> TopicReport {
     let (releases_ns, lost_time) = Default::default();
     let run = TopicRun { task, releases_ns, latencies_ns, lost: 0, max_queue: 1, lost_time };
     topic_reports(vec![run], &Costs { per_message: Duration::from_micros(60), ..Costs::default() }).remove(0)
-}
-
-fn report(topics: Vec<TopicReport>) -> DemoReport {
-    DemoReport {
-        realtime: true,
-        core: 1,
-        seconds: 20.0,
-        steal_ticks: 0,
-        kernel: "6.1.0".into(),
-        topics,
-        preemption: "PREEMPT_RT".into(),
-        overhead_us: 60.0,
-        sampler_priority: 25,
-        interruption_us: 40.0,
-        interrupted_percent: 0.5,
-        longest_interruption_us: 60.0,
-        taken_running_ms: 0.0,
-        taken_late_ms: 0.0,
-        longest_taken_ms: 0.0,
-        others_ms: 0.0,
-        longest_use_us: 0.0,
-        moments_overwritten: 0,
-    }
 }
 
 #[test]
@@ -62,7 +40,7 @@ fn steps_are_round() {
 
 #[test]
 fn svg_is_whole_and_names_everything_once() {
-    let svg = render_svg(&report(vec![topic(&[2.0, 12.0])])).unwrap();
+    let svg = render_svg(&of_topics(vec![topic(&[2.0, 12.0])])).unwrap();
     assert!(svg.starts_with("<svg ") && svg.trim_end().ends_with("</svg>"), "{svg}");
     for words in ["topic&lt;1&gt;", "predicted 2.06 ms", "1 late", "p99 12.00", "Linux 6.1.0 (PREEMPT_RT)"] {
         assert_eq!(svg.matches(words).count(), 1, "{words}: {svg}");
@@ -80,7 +58,7 @@ fn odd_reports_are_drawn_too() {
         lost: u64::MAX,
         ..topic(&[1e9; 3])
     });
-    let mut report = report(odd);
+    let mut report = of_topics(odd);
     report.realtime = false;
     report.kernel = "k".repeat(500);
     let svg = render_svg(&report).unwrap();

@@ -3,12 +3,9 @@
 
 use std::io::{self, Write};
 
-use comfy_table::{CellAlignment, LineStyle, Table, TableStyle};
-
 use super::details;
 use super::{DemoReport, TopicReport};
-use crate::print::Colour;
-use crate::table::{BAD, GOOD, wrap};
+use crate::table::{BAD, GOOD, wrap, write_spaced_table};
 
 /// How a person continues after a run without a fault.
 const NEXT: &str =
@@ -19,20 +16,12 @@ const NEXT: &str =
 /// # Errors
 /// Whatever `out` fails with.
 pub fn write_text(report: &DemoReport, verbose: bool, out: &mut impl Write) -> io::Result<()> {
-    let paint = |style: Colour, text: &str| format!("{style}{text}{style:#}");
-
-    let table = table(&report.topics);
-    let lines: Vec<_> = table.lines().collect();
-    let head = lines.len() - report.topics.len();
-    for (i, line) in lines.iter().enumerate() {
-        let failed = i.checked_sub(head).is_some_and(|row| report.topics[row].failed());
-        let line = line.trim_end();
-        writeln!(out, "{}", if failed { paint(BAD, line) } else { line.to_owned() })?;
-    }
+    write_topics(&report.topics, out)?;
     writeln!(out)?;
     let verdicts: Vec<_> = [deadlines(report), prediction(report)].into_iter().flatten().collect();
     for (holds, text) in &verdicts {
-        writeln!(out, "{}", paint(if *holds { GOOD } else { BAD }, &wrap(text)))?;
+        let style = if *holds { GOOD } else { BAD };
+        writeln!(out, "{style}{}{style:#}", wrap(text))?;
     }
     writeln!(out, "{}", wrap(&host(report)))?;
     let explanations = details::explanations(report);
@@ -46,10 +35,8 @@ pub fn write_text(report: &DemoReport, verbose: bool, out: &mut impl Write) -> i
     writeln!(out, "{}", wrap(cause.map_or(NEXT, String::as_str)))
 }
 
-fn table(topics: &[TopicReport]) -> Table {
-    let style = TableStyle::new().header_separator(LineStyle::none().fill('─').junction('─'));
-    let mut table = Table::new();
-    table.load_style(style).set_header([
+fn write_topics(topics: &[TopicReport], out: &mut impl Write) -> io::Result<()> {
+    let head = [
         "topic",
         "period\nms",
         "wcet\nms",
@@ -64,10 +51,10 @@ fn table(topics: &[TopicReport]) -> Table {
         "late",
         "lost",
         "max\nqueue",
-    ]);
+    ];
     let time = |time: Option<f64>| time.map_or("-".into(), |ms| format!("{ms:.2}"));
-    for t in topics {
-        table.add_row([
+    let row = |t: &TopicReport| {
+        let cells = vec![
             t.topic.clone(),
             t.period_ms.to_string(),
             t.wcet_ms.to_string(),
@@ -82,15 +69,10 @@ fn table(topics: &[TopicReport]) -> Table {
             t.deadline_misses.to_string(),
             t.lost.to_string(),
             t.max_queue.to_string(),
-        ]);
-    }
-    for (i, column) in table.column_iter_mut().enumerate() {
-        column.set_padding((0, 1));
-        if i > 0 {
-            column.set_cell_alignment(CellAlignment::Right);
-        }
-    }
-    table
+        ];
+        (!t.failed(), cells)
+    };
+    write_spaced_table(1, &head, 1, topics.iter().map(row).collect(), out)
 }
 
 /// Whether deadlines were met, in words.

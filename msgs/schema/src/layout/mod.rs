@@ -13,6 +13,7 @@ use std::fmt;
 use crate::{FieldType, Schema};
 use facts::Facts;
 use position::Position;
+use serde::Serialize;
 
 /// The layout of a message.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -90,7 +91,8 @@ impl fmt::Display for NotPlain {
 }
 
 /// A number of bytes.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(untagged)]
 pub enum Size {
     /// The same in every message.
     Fixed(usize),

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Sets of stamps within a tolerance of the oldest one.
 
-use super::{Arrival, Policy, nanos};
+use crate::policy::{Arrival, Policy, nanos};
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -10,7 +10,7 @@ use std::time::Duration;
 ///
 /// When a message of each input waits, the oldest message of every input form a set if none is more than `epsilon` later than the first
 /// of them. Otherwise the first is dropped, together with those within `epsilon` of it, and so on. So a set is delivered with its last
-/// message, whereas [`ApproximateTime`](super::ApproximateTime) waits for later messages. But the sets are not the closest possible
+/// message, whereas [`ApproximateTime`](crate::ApproximateTime) waits for later messages. But the sets are not the closest possible
 /// ones, and with three or more inputs there may be no set although stamps are close enough.
 ///
 /// A message that arrives out of order in its input is refused.

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Stamps that are equal.
 
-use super::{Arrival, Policy};
+use crate::policy::{Arrival, Policy};
 use std::collections::VecDeque;
 
 /// Sets of messages with the same stamp: message_filters' `ExactTime` and `TimeSynchronizer`.

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Stamps that are close to each other.
 
-use super::{Arrival, Policy, nanos};
+use crate::policy::{Arrival, Policy, nanos};
 use std::collections::VecDeque;
 use std::time::Duration;
 

@@ -1,15 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which messages belong together, decided by their stamps, or with [`LatestTime`] by the rates at which they arrive.
-
-mod approximate;
-mod epsilon;
-mod exact;
-mod latest_time;
-
-pub use approximate::ApproximateTime;
-pub use epsilon::ApproximateEpsilonTime;
-pub use exact::ExactTime;
-pub use latest_time::{LatestTime, RateConfig};
+//! Which messages belong together, decided by their stamps, or with [`LatestTime`](crate::LatestTime) by the rates at which they arrive.
 
 /// Decides which of the waiting messages form a set. It sees only stamps in nanoseconds. The caller keeps the messages, one queue for
 /// each input, and carries out the decisions.
@@ -42,6 +32,6 @@ pub enum Arrival {
     Refuse,
 }
 
-fn nanos(duration: std::time::Duration) -> i64 {
+pub(crate) fn nanos(duration: std::time::Duration) -> i64 {
     i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX)
 }
