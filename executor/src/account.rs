@@ -6,7 +6,6 @@
 use std::cell::Cell;
 use std::sync::Arc;
 
-use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{CoreMark, CoreTime, RtError, ThreadInfo};
 
 use crate::stats::{CallbackStats, Moment, MomentKind};
@@ -202,6 +201,7 @@ mod tests {
     use super::*;
     use crate::{Executor, Realtime};
     use std::time::Duration;
+    use tautline_rt::clock::{burn_cpu, monotonic_ns};
 
     #[test]
     fn the_sampler_waits_after_it_was_woken_or_while_it_serves() {
@@ -273,12 +273,12 @@ mod tests {
         assert!(waits()[waited..].iter().all(|wait| wait.from_ns >= end_ns), "{:?}", waits());
         // What the thread computes between its jobs is no wait, after a pause and before.
         for pauses in [false, true] {
-            tautline_rt::clock::burn_cpu(Duration::from_millis(20));
+            burn_cpu(Duration::from_millis(20));
             if pauses {
                 account.pause();
             }
             let (release_ns, waited) = (monotonic_ns(), waits().len());
-            tautline_rt::clock::burn_cpu(Duration::from_millis(10));
+            burn_cpu(Duration::from_millis(10));
             std::thread::sleep(Duration::from_millis(6));
             let most_ns = job(release_ns, true) - release_ns - 10_000_000;
             let found = &waits()[waited..];

@@ -70,7 +70,8 @@ pub(crate) struct EventTarget {
 
 impl EventTarget {
     fn slot(&self) -> Result<(rmw_event_type_t, &EventQueueSlot)> {
-        let slot = self.happened.kinds.get(self.kind).ok_or_else(|| Error::invalid("unknown kind of event"))?;
+        let slot =
+            self.happened.kinds.get(self.kind).ok_or_else(|| Error::invalid("unknown kind of event"))?;
         Ok((self.kind as rmw_event_type_t, slot))
     }
 }

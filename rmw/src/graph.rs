@@ -49,7 +49,7 @@ fn fill_names(
     check_allocator(allocator)?;
     // SAFETY: a valid list; indices are within the requested size.
     unsafe {
-        if rmw_names_and_types_check_empty(place) != RET_OK {
+        if rmw_names_and_types_check_zero(place) != RET_OK {
             return Err(Error::invalid("the list of names is not zero"));
         }
         if names.is_empty() {
@@ -155,11 +155,10 @@ fn fill_infos(
     allocator: &mut rcutils_allocator_t,
 ) -> Result {
     check_allocator(allocator)?;
-    let ends: Vec<_> =
-        graph.endpoints.iter().filter(|end| end.kind == kind && end.topic == topic).collect();
+    let ends: Vec<_> = graph.endpoints.iter().filter(|end| end.kind == kind && end.topic == topic).collect();
     // SAFETY: a valid array; indices are within the requested size.
     unsafe {
-        if rmw_topic_endpoint_info_array_check_empty(infos) != RET_OK {
+        if rmw_topic_endpoint_info_array_check_zero(infos) != RET_OK {
             return Err(Error::invalid("the information is not zero"));
         }
         let made = rmw_topic_endpoint_info_array_init_with_size(infos, ends.len(), allocator);

@@ -167,8 +167,7 @@ fn what_came_before_the_first_wait_is_not_counted() {
     let head = "[hosts.here]\ncores = 1\n[nodes.listener]\nclient = \"rclpy\"\n";
     std::fs::write(file.path(), [head, &callback("short"), &callback("early")].concat()).unwrap();
     let mut command = domain.python(EARLY);
-    let (process, heard) =
-        started(command.env("TAUT_SYSTEM", file.path()).env("TAUT_REALTIME", "off"));
+    let (process, heard) = started(command.env("TAUT_SYSTEM", file.path()).env("TAUT_REALTIME", "off"));
     assert_eq!(heard.trim(), "['early', 'five']");
     let report = report(&domain);
     end(process);
