@@ -13,7 +13,7 @@
 //! | `graph` | the graph |
 //! | `types` | type supports; `cdr`: their callbacks; `layout`: types with equal layout in memory and CDR; `serialization`: messages as bytes; `lend`: those in shared memory; `qos`: profiles |
 //! | `distro` | what differs between distributions of ROS 2 |
-//! | `handle` | ROS's handles |
+//! | `handle` | ROS's handles, and the other arguments: `exported!` has rmw's functions check them |
 //! | `unsupported` | unsupported functions |
 //! | `log` | forwards Tautline's log to ROS's |
 
