@@ -6,7 +6,6 @@
 use std::cell::Cell;
 use std::sync::Arc;
 
-use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{CoreMark, CoreTime, RtError, ThreadInfo};
 
 use crate::stats::{CallbackStats, Moment, MomentKind};
@@ -20,14 +19,27 @@ pub(crate) struct CoreTimeAccount {
     begun: Cell<Option<CoreMark>>,
     /// Jobs that have started and not ended.
     running: Cell<u32>,
-    /// When the previous job ended, or the thread started.
-    ended_ns: Cell<u64>,
+    /// When the previous job ended, or the thread started or [paused](Self::pause), and the processor time that it had used by then.
+    ended: Cell<(u64, u64)>,
 }
 
 impl CoreTimeAccount {
     pub fn new(clock: CoreTime, least_ns: u64) -> CoreTimeAccount {
-        let ended_ns = Cell::new(monotonic_ns());
-        CoreTimeAccount { clock, least_ns, begun: Cell::new(None), running: Cell::new(0), ended_ns }
+        let account = CoreTimeAccount {
+            ended: Cell::default(),
+            begun: Cell::new(None),
+            running: Cell::new(0),
+            clock,
+            least_ns,
+        };
+        account.pause();
+        account
+    }
+
+    /// The thread waits for its next job.
+    pub fn pause(&self) {
+        let now = self.clock.mark();
+        self.ended.set((now.to_ns, now.used_ns));
     }
 
     /// Records the start of a job.
@@ -45,14 +57,15 @@ impl CoreTimeAccount {
             return;
         }
         let now = self.clock.mark();
-        let ended_ns = self.ended_ns.replace(now.to_ns);
+        let (ended_ns, used_ns) = self.ended.replace((now.to_ns, now.used_ns));
         let Some(begun) = self.begun.take().filter(|_| !slept) else { return };
         note_taken(stats, &begun, &now, self.least_ns);
         if let (Some((release_ns, to_ns)), Some(preempted_ns)) = (late, begun.waited_until(&now)) {
-            // Before, the thread did something else.
+            // Before, the thread did something else, and what it has used since was no wait.
             let from_ns = release_ns.max(ended_ns).min(to_ns);
-            let length_ns = begun.from_ns.saturating_sub(from_ns).saturating_add(preempted_ns);
-            let length_ns = length_ns.min(to_ns - from_ns);
+            let length_ns = begun.from_ns.saturating_sub(from_ns);
+            let length_ns = length_ns.saturating_sub(begun.used_ns.saturating_sub(used_ns));
+            let length_ns = length_ns.saturating_add(preempted_ns).min(to_ns - from_ns);
             if length_ns >= self.least_ns {
                 stats.note(&Moment { kind: MomentKind::Waited, from_ns, to_ns, length_ns });
             }
@@ -188,6 +201,7 @@ mod tests {
     use super::*;
     use crate::{Executor, Realtime};
     use std::time::Duration;
+    use tautline_rt::clock::{burn_cpu, monotonic_ns};
 
     #[test]
     fn the_sampler_waits_after_it_was_woken_or_while_it_serves() {
@@ -251,10 +265,25 @@ mod tests {
         let end_ns = job(release_ns, true);
         let wait = *waits().last().unwrap();
         assert_eq!((wait.from_ns, wait.to_ns), (release_ns, end_ns));
-        assert!((6_000_000..=end_ns - release_ns).contains(&wait.length_ns), "{wait:?}");
+        // Less what it used since the job before, above.
+        assert!((5_000_000..=end_ns - release_ns).contains(&wait.length_ns), "{wait:?}");
         // Released before that one ended, and begun at once then.
         let waited = waits().len();
         job(release_ns, true);
         assert!(waits()[waited..].iter().all(|wait| wait.from_ns >= end_ns), "{:?}", waits());
+        // What the thread computes between its jobs is no wait, after a pause and before.
+        for pauses in [false, true] {
+            burn_cpu(Duration::from_millis(20));
+            if pauses {
+                account.pause();
+            }
+            let (release_ns, waited) = (monotonic_ns(), waits().len());
+            burn_cpu(Duration::from_millis(10));
+            std::thread::sleep(Duration::from_millis(6));
+            let most_ns = job(release_ns, true) - release_ns - 10_000_000;
+            let found = &waits()[waited..];
+            assert!(found.iter().all(|wait| wait.length_ns <= most_ns), "{found:?} {most_ns}");
+            assert!(!pauses || found.iter().any(|wait| wait.length_ns >= 5_000_000), "{found:?}");
+        }
     }
 }

@@ -186,7 +186,7 @@ impl ForeignCallback {
     }
 
     /// Starts a job of the callback in this thread, released at the `CLOCK_MONOTONIC` time `release_ns`, and records the state of its queue.
-    /// Without that time the job is not counted, only held to its budget, and its processor time is no other job's.
+    /// Without that time the job is neither counted nor late: only its processor time is recorded, and held to its budget.
     ///
     /// # Real-time
     /// Waits for a thread that starts or ends a job of it at the same time, with priority inheritance; no allocation; four syscalls
@@ -231,6 +231,8 @@ impl ForeignCallback {
         }
         if let Some((release_ns, response_ns)) = job {
             stats.complete(&Job { release_ns, response_ns, execution_ns, input_size: None });
+        } else if let Some(execution_ns) = execution_ns {
+            stats.execution().record(execution_ns);
         }
         execution_ns
     }
@@ -274,6 +276,17 @@ fn with_enforcer<R>(using: impl FnOnce(&BudgetEnforcer) -> R) -> Option<R> {
 /// Wait-free; no allocation; at most one syscall.
 pub fn idle() -> u64 {
     METER.with(|meter| meter.lap(monotonic_ns()))
+}
+
+/// As [`idle`], in a thread that really begins to wait. Where core time is accounted for, what it used until now is no part of the next job's
+/// wait for the core.
+///
+/// # Real-time
+/// As [`idle`]; three syscalls more where core time is accounted for.
+pub fn wait() -> u64 {
+    // A thread in shutdown has no thread-locals.
+    let _ = ACCOUNT.try_with(|account| account.get().and_then(Option::as_ref).map(CoreTimeAccount::pause));
+    idle()
 }
 
 /// When this thread's last measured job ended, or [`idle`] was called, on `CLOCK_MONOTONIC`; 0 before.
@@ -373,8 +386,10 @@ mod tests {
         let seen = &crate::ForeignStatistics::list(&prefix).unwrap()[0].read().unwrap().unwrap().callbacks;
         for of in seen {
             assert_eq!((of.releases, of.completions, of.first_release_ns), (4, 4, 1_000), "{of:?}");
+            assert_eq!(of.response.n(), 4 * u64::from(of.execution.n() > 0), "{of:?}");
             assert_eq!((of.least_distance_ns, of.greatest_distance_ns), (Some(90), Some(100)), "{of:?}");
         }
         assert_eq!((seen[0].lost, seen[1].lost), (4, 0));
+        assert_eq!((seen[0].execution.n(), seen[1].execution.n()), (5, 0), "its processor time is known");
     }
 }

@@ -5,12 +5,12 @@ use crate::bindings::*;
 use crate::context::Watchers;
 use crate::distro;
 use crate::end::{MessageQueue, ReceivingEndpoint};
-use crate::error::{Error, Result, answer, made};
-use crate::handle::{IDENTIFIER, behind, copy_text, free_text, gid_to_ros, place};
-use crate::node::{self, Node};
+use crate::error::{Error, Result};
+use crate::handle::{behind, endpoint_name, exported, gid_to_ros, hand_out, place};
+use crate::node::NodeOfEndpoint;
 use crate::on_new::Listeners;
 use crate::qos;
-use crate::service::{Depth, info_of, name_of, profile_of};
+use crate::service::{Depth, info_of};
 use crate::types::ServiceSupport;
 use std::collections::VecDeque;
 use std::ffi::{c_char, c_void};
@@ -20,7 +20,7 @@ use std::task::Poll;
 use tautline_transport::{Gid, QueuedClient, RawSample, RawSubscription, ServiceError};
 
 pub(crate) struct Client {
-    node: *const Node,
+    node: NodeOfEndpoint,
     of: ServiceSupport,
     qos: rmw_qos_profile_t,
     depth: Depth,
@@ -107,11 +107,6 @@ impl Asking {
 }
 
 impl Client {
-    fn node(&self) -> &Node {
-        // SAFETY: rmw's contract: a node outlives its endpoints.
-        unsafe { &*self.node }
-    }
-
     /// The endpoint, whose responses wake wait sets.
     pub(crate) fn end(&self) -> &ReceivingEndpoint<Asking> {
         &self.end
@@ -140,108 +135,60 @@ async fn serve(end: Weak<ReceivingEndpoint<Asking>>, watchers: Arc<Watchers>, li
     .await;
 }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_create_client(
-    node: *const rmw_node_t,
-    support: *const rosidl_service_type_support_t,
-    name: *const c_char,
-    profile: *const rmw_qos_profile_t,
-) -> *mut rmw_client_t {
-    made(|| {
+exported! {
+    fn rmw_create_client(
+        node: *const rmw_node_t => behind,
+        support: *const rosidl_service_type_support_t,
+        name: *const c_char,
+        profile: *const rmw_qos_profile_t => given "the QoS profile",
+    ) -> *mut rmw_client_t {
         // SAFETY: rmw's contract.
-        let (node, of, name) = unsafe {
-            let node = behind(node)?;
-            (node, ServiceSupport::of(support)?, name_of(name, profile)?)
-        };
-        let wanted = profile_of(profile)?;
-        // SAFETY: rmw's contract.
-        let (limits, depth) = unsafe { (of.request.limits(), Depth::of(profile, &wanted)) };
+        let (of, name) =
+            unsafe { (ServiceSupport::of(support)?, endpoint_name(name, "the service's name", profile)?) };
+        let ((wanted, depth), limits) = (Depth::of(profile)?, of.request.limits());
         let _node = tautline_trace::in_node(node.traced.id());
         let raw = node.participant.create_queued_client(name, &of.service_type, depth.room, limits)?;
         let gid = raw.gid();
         let context = node.context();
-        let (requests, responses) =
-            (context.listeners.of_requests(name), context.listeners.of_responses(name));
+        let listeners = &context.listeners;
+        let (requests, responses) = (listeners.of_requests(name), listeners.of_responses(name));
         let end = ReceivingEndpoint::new(node, Asking { raw, unsent: VecDeque::new() }, responses)?;
         let (served, watchers) = (Arc::downgrade(&end), context.watchers().clone());
         let listeners = requests.clone();
         context.helper.run(move || serve(served, watchers, requests));
-        let client = Client { node, of, qos: qos::to_ros(&wanted, false), depth, gid, listeners, end };
-        let service_name = copy_text(name)?;
-        // SAFETY: rmw's own memory, written before anyone can see it.
-        unsafe {
-            let handle = rmw_client_allocate();
-            if handle.is_null() {
-                free_text(service_name);
-                return Err(Error::new(RET_BAD_ALLOC, "no memory for a client"));
-            }
-            handle.write(rmw_client_t {
-                implementation_identifier: IDENTIFIER.as_ptr(),
-                data: Box::into_raw(Box::new(client)).cast(),
-                service_name,
-            });
-            node.own(handle);
-            Ok(handle)
-        }
-    })
-}
+        let client =
+            Client { node: node.into(), of, qos: qos::to_ros(&wanted, false), depth, gid, listeners, end };
+        hand_out(node, name, client, |_| ())
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_destroy_client(node: *mut rmw_node_t, handle: *mut rmw_client_t) -> rmw_ret_t {
-    // SAFETY: rmw's contract.
-    answer(|| unsafe { node::destroy_endpoint(node, handle) })
-}
-
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_send_request(
-    handle: *const rmw_client_t,
-    request: *const c_void,
-    number: *mut i64,
-) -> rmw_ret_t {
-    answer(|| {
+    fn rmw_destroy_client(node: *mut rmw_node_t => behind, client: *mut rmw_client_t) {
         // SAFETY: rmw's contract.
-        let (client, number) = unsafe { (behind(handle)?, place(number, "the sequence number")?) };
-        if request.is_null() {
-            return Err(Error::null("the request"));
-        }
+        unsafe { node.destroy(client) }
+    }
+
+    fn rmw_send_request(
+        client: *const rmw_client_t => behind,
+        request: *const c_void => present "the request",
+        number: *mut i64 => place "the sequence number",
+    ) {
         let callbacks = client.of.request.callbacks;
         // SAFETY: rmw's contract: a request of this type.
         let estimate = unsafe { callbacks.estimate(request)? };
-        let write = |body: &mut [u8]| {
-            // SAFETY: as above.
-            unsafe { callbacks.write(request, body) }
-        };
+        // SAFETY: as above.
+        let write = |body: &mut [u8]| unsafe { callbacks.write(request, body) };
         let sent = client.end.with(|asking| asking.ask(estimate, write));
         // Also of requests that had waited.
         client.listeners.notify();
-        let sent = sent?;
-        *number = i64::try_from(sent).unwrap_or(i64::MAX);
+        *number = i64::try_from(sent?).unwrap_or(i64::MAX);
         Ok(())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_take_response(
-    handle: *const rmw_client_t,
-    header: *mut rmw_service_info_t,
-    response: *mut c_void,
-    taken: *mut bool,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let (client, header, taken) =
-            unsafe { (behind(handle)?, place(header, "the header")?, place(taken, "taken")?) };
-        if response.is_null() {
-            return Err(Error::null("the response"));
-        }
+    fn rmw_take_response(
+        client: *const rmw_client_t => behind,
+        header: *mut rmw_service_info_t => place "the header",
+        response: *mut c_void => present "the response",
+        taken: *mut bool => place "taken",
+    ) {
         *taken = false;
         // At the limit of held samples: the threads that are in a take will release some.
         let oldest = client.end.take(|asking| {
@@ -268,90 +215,51 @@ pub unsafe extern "C" fn rmw_take_response(
         *header = info_of(&info, client.end.begin(&info));
         *taken = true;
         Ok(())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_service_server_is_available(
-    node: *const rmw_node_t,
-    handle: *const rmw_client_t,
-    is_available: *mut bool,
-) -> rmw_ret_t {
-    answer(|| {
-        if node.is_null() || handle.is_null() || is_available.is_null() {
+    fn rmw_service_server_is_available(
+        node: *const rmw_node_t,
+        client: *const rmw_client_t,
+        is_available: *mut bool,
+    ) {
+        if node.is_null() || client.is_null() || is_available.is_null() {
             return Err(distro::null_argument("the node, the client or the result pointer"));
         }
         // SAFETY: rmw's contract.
         let (client, is_available) = unsafe {
             behind(node)?;
-            (behind(handle)?, place(is_available, "the answer")?)
+            (behind(client)?, place(is_available, "the answer")?)
         };
         *is_available = client.end.with(|asking| asking.raw.server_count()) > 0;
         Ok(())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_get_gid_for_client(
-    handle: *const rmw_client_t,
-    gid: *mut rmw_gid_t,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let (client, gid) = unsafe { (behind(handle)?, place(gid, "the gid")?) };
+    fn rmw_get_gid_for_client(client: *const rmw_client_t => behind, gid: *mut rmw_gid_t => place "the gid") {
         *gid = gid_to_ros(client.gid);
         Ok(())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-unsafe fn actual_qos(handle: *const rmw_client_t, profile: *mut rmw_qos_profile_t) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let (client, profile) = unsafe { (behind(handle)?, place(profile, "the QoS profile")?) };
+    fn rmw_client_request_publisher_get_actual_qos(
+        client: *const rmw_client_t => behind,
+        profile: *mut rmw_qos_profile_t => place "the QoS profile",
+    ) {
         *profile = client.qos;
         Ok(())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_client_request_publisher_get_actual_qos(
-    handle: *const rmw_client_t,
-    profile: *mut rmw_qos_profile_t,
-) -> rmw_ret_t {
-    // SAFETY: rmw's contract.
-    unsafe { actual_qos(handle, profile) }
-}
+    fn rmw_client_response_subscription_get_actual_qos(
+        client: *const rmw_client_t => behind,
+        profile: *mut rmw_qos_profile_t => place "the QoS profile",
+    ) {
+        *profile = client.qos;
+        Ok(())
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_client_response_subscription_get_actual_qos(
-    handle: *const rmw_client_t,
-    profile: *mut rmw_qos_profile_t,
-) -> rmw_ret_t {
-    // SAFETY: rmw's contract.
-    unsafe { actual_qos(handle, profile) }
-}
-
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_client_set_on_new_response_callback(
-    handle: *mut rmw_client_t,
-    callback: rmw_event_callback_t,
-    data: *const c_void,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let client = unsafe { behind(handle)? };
-        client.end.set_on_new(client.node().context(), callback.map(|function| (function, data)))
-    })
+    fn rmw_client_set_on_new_response_callback(
+        client: *mut rmw_client_t => behind,
+        callback: rmw_event_callback_t,
+        data: *const c_void,
+    ) {
+        client.end.set_on_new(client.node.context(), callback, data)
+    }
 }

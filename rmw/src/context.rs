@@ -2,8 +2,8 @@
 //! A context: a participant of a domain, its helper thread, and the waiters of its wait sets.
 
 use crate::bindings::*;
-use crate::error::{Error, Result, answer};
-use crate::handle::{IDENTIFIER, behind_context, check_identifier, take_back, text};
+use crate::error::{Error, Result};
+use crate::handle::{IDENTIFIER, behind_context, check_initialised, check_zero, exported, take_back, text};
 use crate::helper::{Helper, Ring};
 use crate::notifier::{Notifier, NotifierWaker};
 use crate::on_new::{Listener, ListenersByName};
@@ -210,43 +210,6 @@ async fn tell_of_changes(mut events: GraphEvents, slot: Arc<Slot>, watchers: Arc
     }
 }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_init(
-    options: *const rmw_init_options_t,
-    context: *mut rmw_context_t,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract: each is null or valid.
-        let (options, context) = unsafe {
-            let options = options.as_ref().ok_or_else(|| Error::null("the options"))?;
-            (options, context.as_mut().ok_or_else(|| Error::null("the context"))?)
-        };
-        if options.implementation_identifier.is_null() {
-            return Err(Error::invalid("the options are not initialised"));
-        }
-        check_identifier(options.implementation_identifier, "the options")?;
-        if !context.implementation_identifier.is_null() {
-            return Err(Error::invalid("the context is initialised already"));
-        }
-        log::start();
-        memory_of_environment()?;
-        // ROS's logging would wait for its thread.
-        tautline_rt::exempt_children();
-        let domain = options::check(options)?;
-        // SAFETY: rmw's contract; checked not to be null.
-        let made = Context::join(domain, unsafe { text(options.enclave, "the enclave")? })?;
-        context.instance_id = options.instance_id;
-        context.actual_domain_id = domain as usize;
-        // SAFETY: zero-initialised, as the context is.
-        options::copied(unsafe { rmw_init_options_copy(options, &mut context.options) })?;
-        context.implementation_identifier = IDENTIFIER.as_ptr();
-        context.impl_ = Box::into_raw(Box::new(made)).cast();
-        Ok(())
-    })
-}
-
 /// By the environment: whether freed memory is used again, without page faults, for which the program's own settings of the C library go
 /// first; and whether serialized messages are samples.
 fn memory_of_environment() -> Result {
@@ -265,22 +228,35 @@ fn memory_of_environment() -> Result {
     Ok(())
 }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_shutdown(context: *mut rmw_context_t) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        unsafe { behind_context(context)? }.waiters.shut_down();
+exported! {
+    fn rmw_init(
+        options: *const rmw_init_options_t => given "the options",
+        context: *mut rmw_context_t => place "the context",
+    ) {
+        check_initialised(options.implementation_identifier, "the options")?;
+        check_zero(context.implementation_identifier, "the context")?;
+        log::start();
+        memory_of_environment()?;
+        // ROS's logging would wait for its thread.
+        tautline_rt::exempt_children();
+        let domain = options::check(options)?;
+        // SAFETY: rmw's contract; checked not to be null.
+        let made = Context::join(domain, unsafe { text(options.enclave, "the enclave")? })?;
+        context.instance_id = options.instance_id;
+        context.actual_domain_id = domain as usize;
+        // SAFETY: zero-initialised, as the context is.
+        options::copied(unsafe { rmw_init_options_copy(options, &mut context.options) })?;
+        context.implementation_identifier = IDENTIFIER.as_ptr();
+        context.impl_ = Box::into_raw(Box::new(made)).cast();
         Ok(())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_context_fini(context: *mut rmw_context_t) -> rmw_ret_t {
-    answer(|| {
+    fn rmw_shutdown(context: *mut rmw_context_t => behind_context) {
+        context.waiters.shut_down();
+        Ok(())
+    }
+
+    fn rmw_context_fini(context: *mut rmw_context_t) {
         // SAFETY: rmw's contract.
         let behind = unsafe { behind_context(context)? };
         if !behind.waiters.is_shut_down() {
@@ -303,5 +279,5 @@ pub unsafe extern "C" fn rmw_context_fini(context: *mut rmw_context_t) -> rmw_re
             context.write(rmw_get_zero_initialized_context());
             options::copied(finished)
         }
-    })
+    }
 }

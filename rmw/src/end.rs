@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A receiving endpoint: used by one thread at a time, and woken by its publishers.
 
-use crate::callback::{EventCallback, Function};
+use crate::bindings::rmw_event_callback_t;
+use crate::callback::EventCallback;
 use crate::context::Context;
 use crate::error::Result;
 use crate::job::{self, Jobs};
@@ -10,6 +11,7 @@ use crate::notifier::NotifierWaker;
 use crate::on_new::{Listener, Listeners};
 use crate::signal::Waiter;
 use crate::thread::{self, ThreadPlan};
+use std::ffi::c_void;
 use std::sync::{Arc, Weak};
 use std::task::Waker;
 use tautline_rt::PiMutex;
@@ -73,6 +75,17 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
 
     pub(crate) fn jobs(&self) -> &Jobs {
         &self.jobs
+    }
+
+    /// A thread waits for it, since `now_ns`.
+    ///
+    /// # Real-time
+    /// As [`with`](Self::with), O(publishers); a load but for the first time.
+    pub(crate) fn wait_for(&self, now_ns: u64) {
+        if self.jobs.is_new() {
+            let early = self.with(|port| port.subscription().waiting());
+            self.jobs.wait_for(now_ns, early);
+        }
     }
 
     /// The thread that is to run its callback.
@@ -191,14 +204,19 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
 
     /// Sets or removes the callback for new messages. It is called here for messages not reported before, like other RMWs do;
     /// later the publishing thread calls it, or the notifier for a publisher of another context.
-    pub(crate) fn set_on_new(self: &Arc<Self>, context: &Context, function: Function) -> Result {
-        if function.is_none() {
+    pub(crate) fn set_on_new(
+        self: &Arc<Self>,
+        context: &Context,
+        callback: rmw_event_callback_t,
+        data: *const c_void,
+    ) -> Result {
+        let Some(function) = callback else {
             self.remove_on_new();
             return Ok(());
-        }
+        };
         let waker = context.serve(self.listener(), self.thread().map(|plan| plan.priority))?;
         self.side.lock().1.notifier = Some(waker);
-        self.callback.replace(function);
+        self.callback.replace(Some((function, data)));
         self.callback.settle();
         self.listeners.add(self.listener());
         self.receive();

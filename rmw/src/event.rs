@@ -4,8 +4,8 @@
 use crate::bindings::*;
 use crate::callback::{Call, EventCallback, Function};
 use crate::distro::{self, *};
-use crate::error::{Error, Result, answer};
-use crate::handle::{IDENTIFIER, behind, check_identifier, place};
+use crate::error::{Error, Result};
+use crate::handle::{IDENTIFIER, check_identifier, check_zero, exported, given};
 use crate::helper::Helper;
 use crate::qos::policy_to_ros;
 use crate::signal::Signal;
@@ -66,6 +66,14 @@ struct Counts {
 pub(crate) struct EventTarget {
     happened: Arc<Happened>,
     kind: usize,
+}
+
+impl EventTarget {
+    fn slot(&self) -> Result<(rmw_event_type_t, &EventQueueSlot)> {
+        let slot =
+            self.happened.kinds.get(self.kind).ok_or_else(|| Error::invalid("unknown kind of event"))?;
+        Ok((self.kind as rmw_event_type_t, slot))
+    }
 }
 
 impl Happened {
@@ -232,8 +240,8 @@ impl Event {
 /// The flag of an event in a wait set.
 pub(crate) fn signal_of(event: &rmw_event_t) -> Option<&Signal> {
     // SAFETY: null, or set by `init`; the endpoint keeps the target alive.
-    let source = unsafe { event.data.cast::<EventTarget>().as_ref() }?;
-    source.happened.kinds.get(source.kind).map(|kind| &kind.signal)
+    let target = unsafe { event.data.cast::<EventTarget>().as_ref() }?;
+    target.slot().ok().map(|(_, slot)| &slot.signal)
 }
 
 /// The targets of its events, one per kind: the endpoint owns them, because rmw does not free events.
@@ -247,16 +255,12 @@ impl Sources {
 
 /// Initialises `event` as one of an endpoint that supports `kinds`.
 fn init(
-    event: *mut rmw_event_t,
+    event: &mut rmw_event_t,
     sources: &Sources,
     kind: rmw_event_type_t,
     kinds: std::ops::RangeInclusive<rmw_event_type_t>,
 ) -> Result {
-    // SAFETY: rmw's contract.
-    let event = unsafe { place(event, "the event")? };
-    if !event.implementation_identifier.is_null() {
-        return Err(Error::invalid("the event is initialised already"));
-    }
+    check_zero(event.implementation_identifier, "the event")?;
     let source = sources.0.get(kind as usize).filter(|_| kinds.contains(&kind));
     let source = source.ok_or_else(|| {
         Error::unsupported(format!("event type {kind} is not supported by this kind of endpoint"))
@@ -267,84 +271,6 @@ fn init(
         event_type: kind,
     };
     Ok(())
-}
-
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_publisher_event_init(
-    event: *mut rmw_event_t,
-    publisher: *const rmw_publisher_t,
-    kind: rmw_event_type_t,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let publisher = unsafe { behind(publisher)? };
-        publisher.listen()?;
-        init(event, &publisher.events, kind, RMW_EVENT_LIVELINESS_LOST..=LAST_EVENT)
-    })
-}
-
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_subscription_event_init(
-    event: *mut rmw_event_t,
-    subscription: *const rmw_subscription_t,
-    kind: rmw_event_type_t,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let subscription = unsafe { behind(subscription)? };
-        subscription.listen()?;
-        init(event, &subscription.events, kind, RMW_EVENT_LIVELINESS_CHANGED..=LAST_SUBSCRIPTION_EVENT)
-    })
-}
-
-#[unsafe(no_mangle)]
-/// Whether this kind of event is supported.
-pub extern "C" fn rmw_event_type_is_supported(kind: rmw_event_type_t) -> bool {
-    kind != RMW_EVENT_INVALID && (kind as usize) < KINDS
-}
-
-/// The source of an event.
-unsafe fn source_of<'s>(event: *const rmw_event_t) -> Result<&'s EventTarget> {
-    // SAFETY: rmw's contract.
-    let event = unsafe { event.as_ref() }.ok_or_else(|| Error::null("the event"))?;
-    check_identifier(event.implementation_identifier, "the event")?;
-    // SAFETY: it is ours.
-    unsafe { event.data.cast::<EventTarget>().as_ref() }.ok_or_else(|| Error::null("the event's data"))
-}
-
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_take_event(
-    event: *const rmw_event_t,
-    info: *mut c_void,
-    taken: *mut bool,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let (source, taken) = unsafe { (source_of(event)?, place(taken, "taken")?) };
-        *taken = false;
-        if info.is_null() {
-            return Err(Error::null("the event's information"));
-        }
-        let Some(kind) = source.happened.kinds.get(source.kind) else {
-            return Err(Error::invalid("unknown kind of event"));
-        };
-        let mut state = kind.state.lock();
-        kind.signal.take();
-        let counts = state.counts;
-        (state.counts.total_change, state.counts.current_change, state.counts.not_alive_change) = (0, 0, 0);
-        (state.untold, state.is_untaken) = (0, false);
-        drop(state);
-        // SAFETY: rmw's contract: the struct of this kind of event.
-        unsafe { write(source.kind as rmw_event_type_t, &counts, info) };
-        *taken = true;
-        Ok(())
-    })
 }
 
 /// # Safety
@@ -395,21 +321,68 @@ unsafe fn write(kind: rmw_event_type_t, counts: &Counts, info: *mut c_void) {
     }
 }
 
+/// The target of an event.
+///
 /// # Safety
 /// As documented by rmw.
+unsafe fn target_of<'s>(event: *const rmw_event_t) -> Result<&'s EventTarget> {
+    // SAFETY: the caller's contract; what is ours has our data.
+    unsafe {
+        let event = given(event, "the event")?;
+        check_identifier(event.implementation_identifier, "the event")?;
+        given(event.data.cast(), "the event's data")
+    }
+}
+
+/// Whether this kind of event is supported.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_event_set_callback(
-    event: *mut rmw_event_t,
-    callback: rmw_event_callback_t,
-    data: *const c_void,
-) -> rmw_ret_t {
-    answer(|| {
+pub extern "C" fn rmw_event_type_is_supported(kind: rmw_event_type_t) -> bool {
+    kind != RMW_EVENT_INVALID && (kind as usize) < KINDS
+}
+
+exported! {
+    fn rmw_publisher_event_init(
+        event: *mut rmw_event_t => place "the event",
+        publisher: *const rmw_publisher_t => behind,
+        kind: rmw_event_type_t,
+    ) {
+        publisher.listen()?;
+        init(event, &publisher.events, kind, RMW_EVENT_LIVELINESS_LOST..=LAST_EVENT)
+    }
+
+    fn rmw_subscription_event_init(
+        event: *mut rmw_event_t => place "the event",
+        subscription: *const rmw_subscription_t => behind,
+        kind: rmw_event_type_t,
+    ) {
+        subscription.listen()?;
+        init(event, &subscription.events, kind, RMW_EVENT_LIVELINESS_CHANGED..=LAST_SUBSCRIPTION_EVENT)
+    }
+
+    fn rmw_take_event(
+        event: *const rmw_event_t,
+        info: *mut c_void => present "the event's information",
+        taken: *mut bool => place "taken",
+    ) {
+        *taken = false;
         // SAFETY: rmw's contract.
-        let source = unsafe { source_of(event)? };
-        let Some(kind) = source.happened.kinds.get(source.kind) else {
-            return Err(Error::invalid("unknown kind of event"));
-        };
-        kind.set_callback(callback.map(|function| (function, data)));
+        let (kind, slot) = unsafe { target_of(event)? }.slot()?;
+        let mut state = slot.state.lock();
+        slot.signal.take();
+        let counts = state.counts;
+        (state.counts.total_change, state.counts.current_change, state.counts.not_alive_change) = (0, 0, 0);
+        (state.untold, state.is_untaken) = (0, false);
+        drop(state);
+        // SAFETY: rmw's contract: the struct of this kind of event.
+        unsafe { write(kind, &counts, info) };
+        *taken = true;
         Ok(())
-    })
+    }
+
+    fn rmw_event_set_callback(event: *mut rmw_event_t, callback: rmw_event_callback_t, data: *const c_void) {
+        // SAFETY: rmw's contract.
+        let (_, slot) = unsafe { target_of(event)? }.slot()?;
+        slot.set_callback(callback.map(|function| (function, data)));
+        Ok(())
+    }
 }

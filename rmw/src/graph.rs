@@ -3,13 +3,11 @@
 
 use crate::bindings::*;
 use crate::distro;
-use crate::error::{Error, Result, answer, checked};
-use crate::handle::{behind, place, text};
-use crate::node::{check_full_name, check_namespace, check_node_name};
+use crate::error::{Error, Result, checked};
+use crate::handle::{check_allocator, exported};
 use crate::qos;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::{CString, c_char};
-use std::sync::Arc;
 use tautline_transport::{EndpointKind, GraphSnapshot, NodeName, ServiceKind, TopicEndpoint};
 
 /// Names, each with its types.
@@ -17,26 +15,6 @@ type Names<'g> = BTreeMap<&'g str, BTreeSet<&'g str>>;
 
 fn c_string(text: &str) -> CString {
     CString::new(text).unwrap_or_default()
-}
-
-/// The current graph of a node's participant.
-///
-/// # Safety
-/// As documented by rmw.
-unsafe fn graph(node: *const rmw_node_t) -> Result<Arc<GraphSnapshot>> {
-    // SAFETY: the caller's contract.
-    Ok(unsafe { behind(node)? }.participant.graph()?)
-}
-
-/// # Safety
-/// As documented by rmw.
-unsafe fn allocator<'a>(allocator: *mut rcutils_allocator_t) -> Result<&'a mut rcutils_allocator_t> {
-    // SAFETY: the caller's contract.
-    let allocator = unsafe { place(allocator, "the allocator")? };
-    if allocator.allocate.is_none() || allocator.deallocate.is_none() || allocator.zero_allocate.is_none() {
-        return Err(Error::invalid("the allocator is not initialised"));
-    }
-    Ok(allocator)
 }
 
 /// Fills a zero array of strings.
@@ -62,17 +40,21 @@ fn fill<'t>(
     Ok(())
 }
 
-/// Fills a zero list of names with their types.
+/// Fills a list of names, which must be zero, with their types.
 fn fill_names(
     place: &mut rmw_names_and_types_t,
     names: &Names,
     allocator: &mut rcutils_allocator_t,
 ) -> Result {
-    if names.is_empty() {
-        return Ok(());
-    }
-    // SAFETY: zero, as checked; indices are within the requested size.
+    check_allocator(allocator)?;
+    // SAFETY: a valid list; indices are within the requested size.
     unsafe {
+        if rmw_names_and_types_check_zero(place) != RET_OK {
+            return Err(Error::invalid("the list of names is not zero"));
+        }
+        if names.is_empty() {
+            return Ok(());
+        }
         checked(rmw_names_and_types_init(place, names.len(), allocator), "making a list of names")?;
         for (index, (name, types)) in names.iter().enumerate() {
             let copy = rcutils_strdup(c_string(name).as_ptr(), *allocator);
@@ -90,48 +72,22 @@ fn fill_names(
     Ok(())
 }
 
-/// # Safety
-/// As documented by rmw.
-unsafe fn zero_names<'n>(names: *mut rmw_names_and_types_t) -> Result<&'n mut rmw_names_and_types_t> {
-    // SAFETY: the caller's contract.
-    unsafe {
-        let names = place(names, "the list of names")?;
-        if rmw_names_and_types_check_zero(names) != RET_OK {
-            return Err(Error::invalid("the list of names is not zero"));
-        }
-        Ok(names)
-    }
-}
-
-/// # Safety
-/// As documented by rmw.
-unsafe fn zero_array<'a>(
-    array: *mut rcutils_string_array_t,
-    what: &str,
-) -> Result<&'a mut rcutils_string_array_t> {
-    // SAFETY: the caller's contract.
-    let array = unsafe { place(array, what)? };
+fn check_empty(array: &rcutils_string_array_t, what: &str) -> Result {
     match array.size == 0 && array.data.is_null() {
-        true => Ok(array),
+        true => Ok(()),
         false => Err(Error::invalid(format!("{what} is not zero"))),
     }
 }
 
-/// # Safety
-/// As documented by rmw.
-unsafe fn node_names(
-    node: *const rmw_node_t,
-    names: *mut rcutils_string_array_t,
-    namespaces: *mut rcutils_string_array_t,
-    enclaves: Option<*mut rcutils_string_array_t>,
+fn node_names(
+    graph: &GraphSnapshot,
+    names: &mut rcutils_string_array_t,
+    namespaces: &mut rcutils_string_array_t,
+    enclaves: Option<&mut rcutils_string_array_t>,
 ) -> Result {
-    // SAFETY: the caller's contract.
-    let (graph, names, namespaces, enclaves) = unsafe {
-        let graph = graph(node)?;
-        let (names, namespaces) =
-            (zero_array(names, "the names")?, zero_array(namespaces, "the namespaces")?);
-        (graph, names, namespaces, enclaves.map(|enclaves| zero_array(enclaves, "the enclaves")).transpose()?)
-    };
+    check_empty(names, "the names")?;
+    check_empty(namespaces, "the namespaces")?;
+    enclaves.iter().try_for_each(|enclaves| check_empty(enclaves, "the enclaves"))?;
     // SAFETY: no conditions.
     let allocator = unsafe { rcutils_get_default_allocator() };
     let nodes = &graph.nodes;
@@ -151,223 +107,70 @@ unsafe fn node_names(
     filled
 }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_get_node_names(
-    node: *const rmw_node_t,
-    names: *mut rcutils_string_array_t,
-    namespaces: *mut rcutils_string_array_t,
-) -> rmw_ret_t {
-    // SAFETY: rmw's contract.
-    answer(|| unsafe { node_names(node, names, namespaces, None) })
-}
-
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_get_node_names_with_enclaves(
-    node: *const rmw_node_t,
-    names: *mut rcutils_string_array_t,
-    namespaces: *mut rcutils_string_array_t,
-    enclaves: *mut rcutils_string_array_t,
-) -> rmw_ret_t {
-    // SAFETY: rmw's contract.
-    answer(|| unsafe { node_names(node, names, namespaces, Some(enclaves)) })
-}
-
-fn topics(graph: &GraphSnapshot, is_wanted: impl Fn(&TopicEndpoint) -> bool) -> Names<'_> {
+/// Topics with their types: of endpoints of one kind, of one node, or all.
+fn topics<'g>(graph: &'g GraphSnapshot, kind: Option<EndpointKind>, node: Option<&NodeName>) -> Names<'g> {
     let mut names = Names::new();
-    for end in graph.endpoints.iter().filter(|end| is_wanted(end)) {
-        names.entry(&end.topic).or_default().insert(&end.topic_type.name);
+    for end in &graph.endpoints {
+        if kind.is_none_or(|kind| kind == end.kind) && (node.is_none() || end.node.as_ref() == node) {
+            names.entry(&end.topic).or_default().insert(&end.topic_type.name);
+        }
     }
     names
 }
 
+/// Services, as [`topics`].
 fn services<'g>(graph: &'g GraphSnapshot, kind: Option<ServiceKind>, node: Option<&NodeName>) -> Names<'g> {
     let mut names = Names::new();
     for end in &graph.services {
-        let is_wanted =
-            kind.is_none_or(|kind| kind == end.kind) && (node.is_none() || end.node.as_ref() == node);
-        if is_wanted {
+        if kind.is_none_or(|kind| kind == end.kind) && (node.is_none() || end.node.as_ref() == node) {
             names.entry(&end.name).or_default().insert(&end.type_name);
         }
     }
     names
 }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_get_topic_names_and_types(
-    node: *const rmw_node_t,
-    allocator_given: *mut rcutils_allocator_t,
-    _no_demangle: bool,
-    names: *mut rmw_names_and_types_t,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let (graph, allocator, names) =
-            unsafe { (graph(node)?, allocator(allocator_given)?, zero_names(names)?) };
-        fill_names(names, &topics(&graph, |_| true), allocator)
-    })
-}
-
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_get_service_names_and_types(
-    node: *const rmw_node_t,
-    allocator_given: *mut rcutils_allocator_t,
-    names: *mut rmw_names_and_types_t,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let (graph, allocator, names) =
-            unsafe { (graph(node)?, allocator(allocator_given)?, zero_names(names)?) };
-        fill_names(names, &services(&graph, None, None), allocator)
-    })
-}
-
-/// The names that `of` finds for one node.
-///
-/// # Safety
-/// As documented by rmw.
-unsafe fn by_node(
-    node: *const rmw_node_t,
-    allocator_given: *mut rcutils_allocator_t,
-    name: *const c_char,
-    namespace: *const c_char,
-    names: *mut rmw_names_and_types_t,
-    of: for<'g> fn(&'g GraphSnapshot, &NodeName) -> Names<'g>,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: the caller's contract.
-        let (graph, allocator, names, wanted) = unsafe {
-            let (graph, allocator) = (graph(node)?, allocator(allocator_given)?);
-            check_node_name(name)?;
-            check_namespace(namespace)?;
-            let names = zero_names(names)?;
-            let (name, namespace) = (text(name, "the node's name")?, text(namespace, "the namespace")?);
-            (graph, allocator, names, NodeName { namespace: namespace.to_owned(), name: name.to_owned() })
-        };
-        if !graph.nodes.iter().any(|node| node.name == wanted) {
-            return Err(Error::new(RET_NODE_NAME_NON_EXISTENT, format!("node {wanted} does not exist")));
-        }
-        fill_names(names, &of(&graph, &wanted), allocator)
-    })
-}
-
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_get_publisher_names_and_types_by_node(
-    node: *const rmw_node_t,
-    allocator: *mut rcutils_allocator_t,
-    name: *const c_char,
-    namespace: *const c_char,
-    _no_demangle: bool,
-    names: *mut rmw_names_and_types_t,
-) -> rmw_ret_t {
-    // SAFETY: rmw's contract.
-    unsafe {
-        by_node(node, allocator, name, namespace, names, |graph, node| {
-            topics(graph, |end| end.kind == EndpointKind::Publisher && end.node.as_ref() == Some(node))
-        })
+/// A node that exists.
+fn node_of(graph: &GraphSnapshot, name: &str, namespace: &str) -> Result<NodeName> {
+    let wanted = NodeName { namespace: namespace.to_owned(), name: name.to_owned() };
+    match graph.nodes.iter().any(|node| node.name == wanted) {
+        true => Ok(wanted),
+        false => Err(Error::new(RET_NODE_NAME_NON_EXISTENT, format!("node {wanted} does not exist"))),
     }
 }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_get_subscriber_names_and_types_by_node(
-    node: *const rmw_node_t,
-    allocator: *mut rcutils_allocator_t,
-    name: *const c_char,
-    namespace: *const c_char,
-    _no_demangle: bool,
-    names: *mut rmw_names_and_types_t,
-) -> rmw_ret_t {
-    // SAFETY: rmw's contract.
-    unsafe {
-        by_node(node, allocator, name, namespace, names, |graph, node| {
-            topics(graph, |end| end.kind == EndpointKind::Subscription && end.node.as_ref() == Some(node))
-        })
-    }
+fn ends_of(graph: &GraphSnapshot, topic: &str, kind: EndpointKind) -> usize {
+    graph.endpoints.iter().filter(|end| end.kind == kind && end.topic == topic).count()
 }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_get_service_names_and_types_by_node(
-    node: *const rmw_node_t,
-    allocator: *mut rcutils_allocator_t,
-    name: *const c_char,
-    namespace: *const c_char,
-    names: *mut rmw_names_and_types_t,
-) -> rmw_ret_t {
-    // SAFETY: rmw's contract.
-    unsafe {
-        by_node(node, allocator, name, namespace, names, |graph, node| {
-            services(graph, Some(ServiceKind::Server), Some(node))
-        })
-    }
-}
-
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_get_client_names_and_types_by_node(
-    node: *const rmw_node_t,
-    allocator: *mut rcutils_allocator_t,
-    name: *const c_char,
-    namespace: *const c_char,
-    names: *mut rmw_names_and_types_t,
-) -> rmw_ret_t {
-    // SAFETY: rmw's contract.
-    unsafe {
-        by_node(node, allocator, name, namespace, names, |graph, node| {
-            services(graph, Some(ServiceKind::Client), Some(node))
-        })
-    }
+fn services_of(graph: &GraphSnapshot, name: &str, kind: ServiceKind) -> usize {
+    graph.services.iter().filter(|end| end.kind == kind && end.name == name).count()
 }
 
 /// The endpoints of one kind on a topic.
-///
-/// # Safety
-/// As documented by rmw.
-unsafe fn info_by_topic(
-    node: *const rmw_node_t,
-    allocator_given: *mut rcutils_allocator_t,
-    topic: *const c_char,
-    infos: *mut rmw_topic_endpoint_info_array_t,
+fn fill_infos(
+    infos: &mut rmw_topic_endpoint_info_array_t,
+    graph: &GraphSnapshot,
+    topic: &str,
     kind: EndpointKind,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: the caller's contract.
-        let (graph, allocator, topic, infos) = unsafe {
-            let (graph, allocator) = (graph(node)?, allocator(allocator_given)?);
-            let (topic, infos) = (text(topic, "the topic's name")?, place(infos, "the information")?);
-            if rmw_topic_endpoint_info_array_check_zero(infos) != RET_OK {
-                return Err(Error::invalid("the information is not zero"));
-            }
-            (graph, allocator, topic, infos)
-        };
-        let ends: Vec<_> =
-            graph.endpoints.iter().filter(|end| end.kind == kind && end.topic == topic).collect();
-        // SAFETY: zero, as checked; indices are within the requested size.
-        unsafe {
-            let made = rmw_topic_endpoint_info_array_init_with_size(infos, ends.len(), allocator);
-            checked(made, "allocating endpoint information")?;
-            for (index, end) in ends.into_iter().enumerate() {
-                if let Err(error) = write_info(&mut *infos.info_array.add(index), end, allocator) {
-                    let _ = rmw_topic_endpoint_info_array_fini(infos, allocator);
-                    return Err(error);
-                }
+    allocator: &mut rcutils_allocator_t,
+) -> Result {
+    check_allocator(allocator)?;
+    let ends: Vec<_> = graph.endpoints.iter().filter(|end| end.kind == kind && end.topic == topic).collect();
+    // SAFETY: a valid array; indices are within the requested size.
+    unsafe {
+        if rmw_topic_endpoint_info_array_check_zero(infos) != RET_OK {
+            return Err(Error::invalid("the information is not zero"));
+        }
+        let made = rmw_topic_endpoint_info_array_init_with_size(infos, ends.len(), allocator);
+        checked(made, "allocating endpoint information")?;
+        for (index, end) in ends.into_iter().enumerate() {
+            if let Err(error) = write_info(&mut *infos.info_array.add(index), end, allocator) {
+                let _ = rmw_topic_endpoint_info_array_fini(infos, allocator);
+                return Err(error);
             }
         }
-        Ok(())
-    })
+    }
+    Ok(())
 }
 
 fn write_info(
@@ -405,108 +208,104 @@ fn write_info(
     Ok(())
 }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_get_publishers_info_by_topic(
-    node: *const rmw_node_t,
-    allocator: *mut rcutils_allocator_t,
-    topic: *const c_char,
-    _no_mangle: bool,
-    infos: *mut rmw_topic_endpoint_info_array_t,
-) -> rmw_ret_t {
-    // SAFETY: rmw's contract.
-    unsafe { info_by_topic(node, allocator, topic, infos, EndpointKind::Publisher) }
+exported! {
+    fn rmw_get_node_names(
+        node: *const rmw_node_t => behind,
+        names: *mut rcutils_string_array_t => place "the names",
+        namespaces: *mut rcutils_string_array_t => place "the namespaces",
+    ) {
+        node_names(&*node.participant.graph()?, names, namespaces, None)
+    }
+
+    fn rmw_get_node_names_with_enclaves(
+        node: *const rmw_node_t => behind,
+        names: *mut rcutils_string_array_t => place "the names",
+        namespaces: *mut rcutils_string_array_t => place "the namespaces",
+        enclaves: *mut rcutils_string_array_t => place "the enclaves",
+    ) {
+        node_names(&*node.participant.graph()?, names, namespaces, Some(enclaves))
+    }
+
+    fn rmw_get_topic_names_and_types(
+        node: *const rmw_node_t => behind,
+        allocator: *mut rcutils_allocator_t => place "the allocator",
+        _no_demangle: bool,
+        names: *mut rmw_names_and_types_t => place "the list of names",
+    ) {
+        fill_names(names, &topics(&*node.participant.graph()?, None, None), allocator)
+    }
+
+    fn rmw_get_service_names_and_types(
+        node: *const rmw_node_t => behind,
+        allocator: *mut rcutils_allocator_t => place "the allocator",
+        names: *mut rmw_names_and_types_t => place "the list of names",
+    ) {
+        fill_names(names, &services(&*node.participant.graph()?, None, None), allocator)
+    }
 }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_get_subscriptions_info_by_topic(
-    node: *const rmw_node_t,
-    allocator: *mut rcutils_allocator_t,
-    topic: *const c_char,
-    _no_mangle: bool,
-    infos: *mut rmw_topic_endpoint_info_array_t,
-) -> rmw_ret_t {
-    // SAFETY: rmw's contract.
-    unsafe { info_by_topic(node, allocator, topic, infos, EndpointKind::Subscription) }
+/// Functions that list the names of one kind of one node.
+macro_rules! by_node {
+    ($($function:ident($($unused:ident)?): $of:ident, $kind:expr;)*) => { exported! {$(
+        fn $function(
+            node: *const rmw_node_t => behind,
+            allocator: *mut rcutils_allocator_t => place "the allocator",
+            name: *const c_char => node_name,
+            namespace: *const c_char => namespace,
+            $($unused: bool,)?
+            names: *mut rmw_names_and_types_t => place "the list of names",
+        ) {
+            let graph = node.participant.graph()?;
+            let node = node_of(&graph, name, namespace)?;
+            fill_names(names, &$of(&graph, Some($kind), Some(&node)), allocator)
+        }
+    )*}};
 }
 
-/// The number that `of` counts for a name.
-///
-/// # Safety
-/// As documented by rmw.
-unsafe fn count(
-    node: *const rmw_node_t,
-    name: *const c_char,
-    counted: *mut usize,
-    of: fn(&GraphSnapshot, &str) -> usize,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: the caller's contract.
-        let (graph, name, counted) = unsafe {
-            let graph = graph(node)?;
-            check_full_name(name, "the name")?;
-            (graph, text(name, "the name")?, place(counted, "the count")?)
-        };
-        *counted = of(&graph, name);
-        Ok(())
-    })
+by_node! {
+    rmw_get_publisher_names_and_types_by_node(_no_demangle): topics, EndpointKind::Publisher;
+    rmw_get_subscriber_names_and_types_by_node(_no_demangle): topics, EndpointKind::Subscription;
+    rmw_get_service_names_and_types_by_node(): services, ServiceKind::Server;
+    rmw_get_client_names_and_types_by_node(): services, ServiceKind::Client;
 }
 
-fn ends_of(graph: &GraphSnapshot, topic: &str, kind: EndpointKind) -> usize {
-    graph.endpoints.iter().filter(|end| end.kind == kind && end.topic == topic).count()
+/// Functions with information on the endpoints of one kind on a topic.
+macro_rules! by_topic {
+    ($($function:ident: $kind:expr;)*) => { exported! {$(
+        fn $function(
+            node: *const rmw_node_t => behind,
+            allocator: *mut rcutils_allocator_t => place "the allocator",
+            topic: *const c_char => text "the topic's name",
+            _no_mangle: bool,
+            infos: *mut rmw_topic_endpoint_info_array_t => place "the information",
+        ) {
+            fill_infos(infos, &*node.participant.graph()?, topic, $kind, allocator)
+        }
+    )*}};
 }
 
-fn services_of(graph: &GraphSnapshot, name: &str, kind: ServiceKind) -> usize {
-    graph.services.iter().filter(|end| end.kind == kind && end.name == name).count()
+by_topic! {
+    rmw_get_publishers_info_by_topic: EndpointKind::Publisher;
+    rmw_get_subscriptions_info_by_topic: EndpointKind::Subscription;
 }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_count_publishers(
-    node: *const rmw_node_t,
-    topic: *const c_char,
-    counted: *mut usize,
-) -> rmw_ret_t {
-    // SAFETY: rmw's contract.
-    unsafe { count(node, topic, counted, |graph, name| ends_of(graph, name, EndpointKind::Publisher)) }
+/// Functions that count what has a name.
+macro_rules! counts {
+    ($($function:ident: $of:ident, $kind:expr;)*) => { exported! {$(
+        fn $function(
+            node: *const rmw_node_t => behind,
+            name: *const c_char => full_name "the name",
+            count: *mut usize => place "the count",
+        ) {
+            *count = $of(&*node.participant.graph()?, name, $kind);
+            Ok(())
+        }
+    )*}};
 }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_count_subscribers(
-    node: *const rmw_node_t,
-    topic: *const c_char,
-    counted: *mut usize,
-) -> rmw_ret_t {
-    // SAFETY: rmw's contract.
-    unsafe { count(node, topic, counted, |graph, name| ends_of(graph, name, EndpointKind::Subscription)) }
-}
-
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_count_clients(
-    node: *const rmw_node_t,
-    service: *const c_char,
-    counted: *mut usize,
-) -> rmw_ret_t {
-    // SAFETY: rmw's contract.
-    unsafe { count(node, service, counted, |graph, name| services_of(graph, name, ServiceKind::Client)) }
-}
-
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_count_services(
-    node: *const rmw_node_t,
-    service: *const c_char,
-    counted: *mut usize,
-) -> rmw_ret_t {
-    // SAFETY: rmw's contract.
-    unsafe { count(node, service, counted, |graph, name| services_of(graph, name, ServiceKind::Server)) }
+counts! {
+    rmw_count_publishers: ends_of, EndpointKind::Publisher;
+    rmw_count_subscribers: ends_of, EndpointKind::Subscription;
+    rmw_count_clients: services_of, ServiceKind::Client;
+    rmw_count_services: services_of, ServiceKind::Server;
 }

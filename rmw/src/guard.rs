@@ -2,8 +2,8 @@
 //! Guard conditions.
 
 use crate::bindings::*;
-use crate::error::{Error, Result, answer, made};
-use crate::handle::{IDENTIFIER, behind, behind_context, take_back};
+use crate::error::{Error, Result};
+use crate::handle::{IDENTIFIER, behind, behind_context, exported, take_back};
 use crate::signal::Signal;
 use std::sync::Arc;
 
@@ -36,40 +36,25 @@ pub(crate) unsafe fn destroy(handle: *mut rmw_guard_condition_t) {
     }
 }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_create_guard_condition(
-    context: *mut rmw_context_t,
-) -> *mut rmw_guard_condition_t {
-    made(|| {
+exported! {
+    fn rmw_create_guard_condition(context: *mut rmw_context_t) -> *mut rmw_guard_condition_t {
         // SAFETY: rmw's contract.
         unsafe { behind_context(context)? };
         create(context, Arc::default())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_destroy_guard_condition(handle: *mut rmw_guard_condition_t) -> rmw_ret_t {
-    answer(|| {
+    fn rmw_destroy_guard_condition(handle: *mut rmw_guard_condition_t) {
         // SAFETY: rmw's contract; checked to be ours.
         unsafe {
             behind(handle)?;
             destroy(handle);
         }
         Ok(())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw. Without an error it may be called in a signal handler.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_trigger_guard_condition(handle: *const rmw_guard_condition_t) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        unsafe { behind(handle)? }.signal.set();
+    /// Without an error it may be called in a signal handler.
+    fn rmw_trigger_guard_condition(guard: *const rmw_guard_condition_t => behind) {
+        guard.signal.set();
         Ok(())
-    })
+    }
 }

@@ -4,14 +4,14 @@
 use crate::bindings::*;
 use crate::client::Client;
 use crate::context::Context;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, checked};
 use crate::guard::GuardCondition;
 use crate::node::Node;
 use crate::publisher::Publisher;
 use crate::service::Service;
 use crate::subscription::Subscription;
 use crate::wait::WaitSet;
-use std::ffi::{CStr, c_char, c_void};
+use std::ffi::{CStr, c_char, c_int, c_void};
 use tautline_transport::Gid;
 
 /// `rmw_get_implementation_identifier`.
@@ -32,6 +32,28 @@ pub(crate) fn check_identifier(identifier: *const c_char, what: &str) -> Result 
     Err(Error::new(RET_INCORRECT_RMW_IMPLEMENTATION, text))
 }
 
+/// Checks the same of something that may be zero, as librmw's initialisers leave it.
+pub(crate) fn check_initialised(identifier: *const c_char, what: &str) -> Result {
+    if identifier.is_null() {
+        return Err(Error::invalid(format!("{what}: not initialised")));
+    }
+    check_identifier(identifier, what)
+}
+
+/// Checks that it is zero.
+pub(crate) fn check_zero(identifier: *const c_char, what: &str) -> Result {
+    let is_zero = identifier.is_null();
+    if is_zero { Ok(()) } else { Err(Error::invalid(format!("{what}: initialised already"))) }
+}
+
+pub(crate) fn check_allocator(allocator: &rcutils_allocator_t) -> Result {
+    let rcutils_allocator_t { allocate, deallocate, reallocate, zero_allocate, .. } = allocator;
+    match (allocate, deallocate, reallocate, zero_allocate) {
+        (Some(_), Some(_), Some(_), Some(_)) => Ok(()),
+        _ => Err(Error::invalid("the allocator is not initialised")),
+    }
+}
+
 /// A struct of librmw whose `data` points to a `Data`.
 pub(crate) trait Handle {
     type Data: 'static;
@@ -41,7 +63,13 @@ pub(crate) trait Handle {
 }
 
 /// A publisher, subscription, service or client.
-pub(crate) trait EndpointHandle: Handle {
+pub(crate) trait EndpointHandle: Handle + Default {
+    /// Memory of librmw for a handle, or null.
+    fn allocate() -> *mut Self;
+
+    /// Writes what all handles have.
+    fn set(&mut self, data: *mut c_void, name: *const c_char);
+
     /// Takes the data out: the handle is then of no entity.
     fn take_data(&mut self) -> *mut c_void;
 
@@ -53,8 +81,17 @@ pub(crate) trait EndpointHandle: Handle {
 }
 
 macro_rules! endpoints {
-    ($($handle:ty, $name:ident, $free:ident;)*) => {$(
+    ($($handle:ty, $name:ident, $allocate:ident, $free:ident;)*) => {$(
         impl EndpointHandle for $handle {
+            fn allocate() -> *mut Self {
+                // SAFETY: no conditions.
+                unsafe { $allocate() }
+            }
+
+            fn set(&mut self, data: *mut c_void, name: *const c_char) {
+                (self.implementation_identifier, self.data, self.$name) = (IDENTIFIER.as_ptr(), data, name);
+            }
+
             fn take_data(&mut self) -> *mut c_void {
                 std::mem::replace(&mut self.data, std::ptr::null_mut())
             }
@@ -71,10 +108,10 @@ macro_rules! endpoints {
 }
 
 endpoints! {
-    rmw_publisher_t, topic_name, rmw_publisher_free;
-    rmw_subscription_t, topic_name, rmw_subscription_free;
-    rmw_service_t, service_name, rmw_service_free;
-    rmw_client_t, service_name, rmw_client_free;
+    rmw_publisher_t, topic_name, rmw_publisher_allocate, rmw_publisher_free;
+    rmw_subscription_t, topic_name, rmw_subscription_allocate, rmw_subscription_free;
+    rmw_service_t, service_name, rmw_service_allocate, rmw_service_free;
+    rmw_client_t, service_name, rmw_client_allocate, rmw_client_free;
 }
 
 macro_rules! handles {
@@ -108,10 +145,10 @@ handles! {
 /// `handle` is null, or points to an entity that an RMW created and has not destroyed.
 pub(crate) unsafe fn behind<'h, H: Handle>(handle: *const H) -> Result<&'h H::Data> {
     // SAFETY: the caller's contract.
-    let handle = unsafe { handle.as_ref() }.ok_or_else(|| Error::null(H::WHAT))?;
+    let handle = unsafe { given(handle, H::WHAT)? };
     check_identifier(handle.identifier(), H::WHAT)?;
     // SAFETY: it is ours, so the data has our type.
-    unsafe { handle.data().cast::<H::Data>().as_ref() }.ok_or_else(|| Error::null(H::WHAT))
+    unsafe { given(handle.data().cast(), H::WHAT) }
 }
 
 /// The data of a context.
@@ -121,7 +158,7 @@ pub(crate) unsafe fn behind<'h, H: Handle>(handle: *const H) -> Result<&'h H::Da
 pub(crate) unsafe fn behind_context<'h>(context: *const rmw_context_t) -> Result<&'h Context> {
     let what = "the context";
     // SAFETY: the caller's contract.
-    let context = unsafe { context.as_ref() }.ok_or_else(|| Error::null(what))?;
+    let context = unsafe { given(context, what)? };
     let is_none = || Error::invalid("the context has not been initialised, or was finalised");
     if context.implementation_identifier.is_null() {
         return Err(is_none());
@@ -131,6 +168,28 @@ pub(crate) unsafe fn behind_context<'h>(context: *const rmw_context_t) -> Result
     unsafe { context.impl_.cast::<Context>().as_ref() }.ok_or_else(is_none)
 }
 
+/// The handle of an endpoint of `node` with this name and data, and with what `fill` adds. The node owns it.
+pub(crate) fn hand_out<H: EndpointHandle>(
+    node: &Node,
+    name: &str,
+    data: H::Data,
+    fill: impl FnOnce(&mut H),
+) -> Result<*mut H> {
+    let (name, handle) = (copy_text(name)?, H::allocate());
+    if handle.is_null() {
+        // SAFETY: copied above.
+        unsafe { free_text(name) };
+        return Err(Error::new(RET_BAD_ALLOC, format!("no memory for {}", H::WHAT)));
+    }
+    let mut made = H::default();
+    made.set(Box::into_raw(Box::new(data)).cast(), name);
+    fill(&mut made);
+    // SAFETY: librmw's memory for it, which nobody else has yet.
+    unsafe { handle.write(made) };
+    node.own(handle);
+    Ok(handle)
+}
+
 /// Takes back the data of our handle.
 ///
 /// # Safety
@@ -138,6 +197,20 @@ pub(crate) unsafe fn behind_context<'h>(context: *const rmw_context_t) -> Result
 pub(crate) unsafe fn take_back<T>(data: *mut c_void) -> Box<T> {
     // SAFETY: the caller's contract.
     unsafe { Box::from_raw(data.cast()) }
+}
+
+/// An argument that is read.
+///
+/// # Safety
+/// `value` is null or valid for reads.
+pub(crate) unsafe fn given<'v, T>(value: *const T, what: &str) -> Result<&'v T> {
+    // SAFETY: the caller's contract.
+    unsafe { value.as_ref() }.ok_or_else(|| Error::null(what))
+}
+
+/// The address of a message of some type.
+pub(crate) fn present<P: Copy + Default + PartialEq>(pointer: P, what: &str) -> Result<P> {
+    if pointer == P::default() { Err(Error::null(what)) } else { Ok(pointer) }
 }
 
 /// A pointer for a result.
@@ -161,6 +234,96 @@ pub(crate) unsafe fn text<'t>(text: *const c_char, what: &str) -> Result<&'t str
     let text = unsafe { CStr::from_ptr(text) };
     text.to_str().map_err(|_| Error::invalid(format!("{what} is not UTF-8")))
 }
+
+type Validate = unsafe extern "C" fn(*const c_char, *mut c_int, *mut usize) -> rmw_ret_t;
+type Explain = unsafe extern "C" fn(c_int) -> *const c_char;
+
+/// A name that keeps to the rules of its kind.
+///
+/// # Safety
+/// As [`text`]. So are those below.
+unsafe fn valid_name<'t>(
+    name: *const c_char,
+    what: &str,
+    validate: Validate,
+    explain: Explain,
+) -> Result<&'t str> {
+    let (mut found, mut at) = (0, 0);
+    // SAFETY: the caller's contract; the pointers are valid; the explanation is a constant, or null.
+    let (read, explained) = unsafe {
+        let read = text(name, what)?;
+        checked(validate(name, &mut found, &mut at), "checking a name")?;
+        let explained = explain(found);
+        (read, (!explained.is_null()).then(|| CStr::from_ptr(explained).to_string_lossy()))
+    };
+    match explained {
+        // Zero means valid.
+        Some(reason) if found != 0 => Err(Error::invalid(format!("{what}: {reason} (at byte {at})"))),
+        _ => Ok(read),
+    }
+}
+
+pub(crate) unsafe fn node_name<'t>(name: *const c_char) -> Result<&'t str> {
+    let (validate, explain) = (rmw_validate_node_name, rmw_node_name_validation_result_string);
+    // SAFETY: the caller's contract.
+    unsafe { valid_name(name, "the node's name", validate, explain) }
+}
+
+pub(crate) unsafe fn namespace<'t>(name: *const c_char) -> Result<&'t str> {
+    let (validate, explain) = (rmw_validate_namespace, rmw_namespace_validation_result_string);
+    // SAFETY: the caller's contract.
+    unsafe { valid_name(name, "the namespace", validate, explain) }
+}
+
+/// The name of a topic or service.
+pub(crate) unsafe fn full_name<'t>(name: *const c_char, what: &str) -> Result<&'t str> {
+    let (validate, explain) = (rmw_validate_full_topic_name, rmw_full_topic_name_validation_result_string);
+    // SAFETY: the caller's contract.
+    unsafe { valid_name(name, what, validate, explain) }
+}
+
+/// The same, by ROS's rules unless the profile disables them.
+pub(crate) unsafe fn endpoint_name<'t>(
+    name: *const c_char,
+    what: &str,
+    profile: &rmw_qos_profile_t,
+) -> Result<&'t str> {
+    // SAFETY: the caller's contract.
+    match unsafe { text(name, what)? } {
+        "" => Err(Error::invalid(format!("{what} is empty"))),
+        name if profile.avoid_ros_namespace_conventions => Ok(name),
+        // SAFETY: the caller's contract.
+        _ => unsafe { full_name(name, what) },
+    }
+}
+
+/// rmw's functions, as C calls them. `argument: type => check "what"` calls this module's `check`, whose result has the argument's name in the
+/// body; "what" names it in the error. A body returns a result: nothing, or the entity that it creates.
+macro_rules! exported {
+    (@returned) => { rmw_ret_t };
+    (@returned $made:ty) => { $made };
+    (@run) => { $crate::error::answer };
+    (@run $made:ty) => { $crate::error::made };
+    ($($(#[$doc:meta])* fn $name:ident(
+        $($argument:ident: $type:ty $(=> $check:ident $($what:literal)?)?),* $(,)?
+    ) $(-> $made:ty)? $body:block)*) => {$(
+        $(#[$doc])*
+        /// # Safety
+        /// As documented by rmw.
+        #[unsafe(no_mangle)]
+        pub unsafe extern "C" fn $name($($argument: $type),*) -> $crate::handle::exported!(@returned $($made)?) {
+            $crate::handle::exported!(@run $($made)?)(|| {
+                $($(
+                    // SAFETY: rmw's contract: the argument is null or as its header says, until the function returns.
+                    #[allow(unused_unsafe, reason = "some checks are safe")]
+                    let $argument = unsafe { $crate::handle::$check($argument $(, $what)?)? };
+                )?)*
+                $body
+            })
+        }
+    )*};
+}
+pub(crate) use exported;
 
 /// A GID in ROS's struct, which is longer in some distributions.
 pub(crate) fn gid_to_ros(Gid(bytes): Gid) -> rmw_gid_t {

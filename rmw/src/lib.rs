@@ -13,7 +13,7 @@
 //! | `graph` | the graph |
 //! | `types` | type supports; `cdr`: their callbacks; `layout`: types with equal layout in memory and CDR; `serialization`: messages as bytes; `lend`: those in shared memory; `qos`: profiles |
 //! | `distro` | what differs between distributions of ROS 2 |
-//! | `handle` | ROS's handles |
+//! | `handle` | ROS's handles, and the other arguments: `exported!` has rmw's functions check them |
 //! | `unsupported` | unsupported functions |
 //! | `log` | forwards Tautline's log to ROS's |
 
@@ -54,8 +54,7 @@ mod unsupported;
 mod wait;
 
 use bindings::*;
-use error::{Error, answer};
-use handle::{IDENTIFIER, check_identifier, place};
+use handle::{IDENTIFIER, check_identifier, exported};
 use std::ffi::c_char;
 
 /// The name for RMW_IMPLEMENTATION.
@@ -80,24 +79,15 @@ pub extern "C" fn rmw_feature_supported(feature: rmw_feature_t) -> bool {
     )
 }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_compare_gids_equal(
-    one: *const rmw_gid_t,
-    other: *const rmw_gid_t,
-    is_equal: *mut bool,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let (one, other, is_equal) = unsafe {
-            let null = || Error::null("the gid");
-            let (one, other) = (one.as_ref().ok_or_else(null)?, other.as_ref().ok_or_else(null)?);
-            (one, other, place(is_equal, "the answer")?)
-        };
+exported! {
+    fn rmw_compare_gids_equal(
+        one: *const rmw_gid_t => given "the gid",
+        other: *const rmw_gid_t => given "the other gid",
+        is_equal: *mut bool => place "the answer",
+    ) {
         check_identifier(one.implementation_identifier, "the gid")?;
         check_identifier(other.implementation_identifier, "the other gid")?;
         *is_equal = one.data == other.data;
         Ok(())
-    })
+    }
 }

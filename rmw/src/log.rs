@@ -2,7 +2,8 @@
 //! Forwards Tautline's log to ROS's log, as logger `rmw_tautline`.
 
 use crate::bindings::*;
-use crate::error::answer;
+use crate::error::Error;
+use crate::handle::exported;
 use std::ffi::CString;
 use std::fmt::{self, Write};
 use std::sync::atomic::{AtomicPtr, AtomicU32, Ordering};
@@ -123,16 +124,13 @@ impl Visit for Line {
     }
 }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_set_log_severity(severity: rmw_log_severity_t) -> rmw_ret_t {
-    answer(|| {
+exported! {
+    fn rmw_set_log_severity(severity: rmw_log_severity_t) {
         if !(RMW_LOG_SEVERITY_DEBUG..=RMW_LOG_SEVERITY_FATAL).contains(&severity) {
-            return Err(crate::error::Error::invalid(format!("{severity} is not a severity of rmw")));
+            return Err(Error::invalid(format!("{severity} is not a severity of rmw")));
         }
         LEAST.store(severity, Ordering::Relaxed);
         tracing::callsite::rebuild_interest_cache();
         Ok(())
-    })
+    }
 }

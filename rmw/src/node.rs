@@ -3,13 +3,14 @@
 
 use crate::bindings::*;
 use crate::context::Context;
-use crate::error::{Error, Result, answer, checked, made};
+use crate::error::{Error, Result};
 use crate::guard;
 use crate::handle::{
-    EndpointHandle, IDENTIFIER, behind, behind_context, copy_text, free_text, take_back, text,
+    EndpointHandle, IDENTIFIER, behind, behind_context, copy_text, exported, free_text, take_back,
 };
 use crate::signal::Signal;
-use std::ffi::{CStr, c_char, c_int, c_void};
+use std::ffi::{c_char, c_void};
+use std::ops::Deref;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tautline_transport::{NodeHandle, Participant};
@@ -58,6 +59,28 @@ impl Node {
     pub(crate) fn own<H: EndpointHandle>(&self, handle: *mut H) {
         self.endpoints().push(OwnedEndpoint { handle: handle.cast(), end: end::<H> });
     }
+
+    /// Destroys one of its endpoints.
+    ///
+    /// # Safety
+    /// As documented by rmw for each function that does.
+    pub(crate) unsafe fn destroy<H: EndpointHandle>(&self, handle: *mut H) -> Result {
+        // SAFETY: the caller's contract; what the node owns is ours, and in its list once.
+        unsafe {
+            behind(handle)?;
+            let owned = {
+                let mut endpoints = self.endpoints();
+                let at = endpoints.iter().position(|owned| owned.handle == handle.cast());
+                let at = at.ok_or_else(|| Error::invalid(format!("{} belongs to another node", H::WHAT)))?;
+                endpoints.swap_remove(at)
+            };
+            if self.context().is_of_this_process() {
+                (owned.end)(owned.handle);
+            }
+            H::free(handle);
+        }
+        Ok(())
+    }
 }
 
 impl Drop for Node {
@@ -70,100 +93,33 @@ impl Drop for Node {
     }
 }
 
-/// Destroys an endpoint of a node.
-///
-/// # Safety
-/// As documented by rmw for each function that destroys an endpoint.
-pub(crate) unsafe fn destroy_endpoint<H: EndpointHandle>(node: *mut rmw_node_t, handle: *mut H) -> Result {
-    // SAFETY: the caller's contract; what the node owns is ours, and in its list once.
-    unsafe {
-        let node = behind(node)?;
-        behind(handle)?;
-        let owned = {
-            let mut endpoints = node.endpoints();
-            let at = endpoints.iter().position(|owned| owned.handle == handle.cast());
-            let at = at.ok_or_else(|| Error::invalid(format!("{} belongs to another node", H::WHAT)))?;
-            endpoints.swap_remove(at)
-        };
-        if node.context().is_of_this_process() {
-            (owned.end)(owned.handle);
-        }
-        H::free(handle);
-    }
-    Ok(())
-}
+/// The node of an endpoint.
+pub(crate) struct NodeOfEndpoint(*const Node);
 
-type Validate = unsafe extern "C" fn(*const c_char, *mut c_int, *mut usize) -> rmw_ret_t;
-type Explain = unsafe extern "C" fn(c_int) -> *const c_char;
-
-/// Checks a name against the rules of its kind.
-///
-/// # Safety
-/// `name` is null or NUL-terminated.
-unsafe fn check_name(name: *const c_char, what: &str, validate: Validate, explain: Explain) -> Result {
-    if name.is_null() {
-        return Err(Error::null(what));
-    }
-    let (mut found, mut at) = (0, 0);
-    // SAFETY: the caller's contract; the pointers are valid; the explanation is a constant, or null.
-    let explained = unsafe {
-        checked(validate(name, &mut found, &mut at), "checking a name")?;
-        let explained = explain(found);
-        (!explained.is_null()).then(|| CStr::from_ptr(explained).to_string_lossy())
-    };
-    match explained {
-        // Zero means valid.
-        Some(reason) if found != 0 => Err(Error::invalid(format!("{what}: {reason} (at byte {at})"))),
-        _ => Ok(()),
+impl From<&Node> for NodeOfEndpoint {
+    fn from(node: &Node) -> Self {
+        NodeOfEndpoint(node)
     }
 }
 
-/// # Safety
-/// As [`check_name`].
-pub(crate) unsafe fn check_node_name(name: *const c_char) -> Result {
-    // SAFETY: the caller's contract.
-    unsafe {
-        check_name(name, "the node's name", rmw_validate_node_name, rmw_node_name_validation_result_string)
+impl Deref for NodeOfEndpoint {
+    type Target = Node;
+
+    fn deref(&self) -> &Node {
+        // SAFETY: rmw's contract: a node outlives its endpoints.
+        unsafe { &*self.0 }
     }
 }
 
-/// # Safety
-/// As [`check_name`].
-pub(crate) unsafe fn check_namespace(name: *const c_char) -> Result {
-    // SAFETY: the caller's contract.
-    unsafe {
-        check_name(name, "the namespace", rmw_validate_namespace, rmw_namespace_validation_result_string)
-    }
-}
-
-/// Checks the name of a topic or service.
-///
-/// # Safety
-/// As [`check_name`].
-pub(crate) unsafe fn check_full_name(name: *const c_char, what: &str) -> Result {
-    // SAFETY: the caller's contract.
-    unsafe {
-        check_name(name, what, rmw_validate_full_topic_name, rmw_full_topic_name_validation_result_string)
-    }
-}
-
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_create_node(
-    context: *mut rmw_context_t,
-    name: *const c_char,
-    namespace: *const c_char,
-) -> *mut rmw_node_t {
-    made(|| {
+exported! {
+    fn rmw_create_node(
+        context: *mut rmw_context_t,
+        name: *const c_char => node_name,
+        namespace: *const c_char => namespace,
+    ) -> *mut rmw_node_t {
         // SAFETY: rmw's contract.
-        let (behind, name, namespace) = unsafe {
-            let behind = behind_context(context)?;
-            behind.check()?;
-            check_node_name(name)?;
-            check_namespace(namespace)?;
-            (behind, text(name, "the node's name")?, text(namespace, "the namespace")?)
-        };
+        let behind = unsafe { behind_context(context)? };
+        behind.check()?;
         let handle = behind.participant.create_node_in_enclave(name, namespace, &behind.enclave)?;
         let participant = behind.participant.for_node(&handle);
         let signal = Arc::<Signal>::default();
@@ -193,14 +149,9 @@ pub unsafe extern "C" fn rmw_create_node(
             });
             Ok(handle)
         }
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_destroy_node(handle: *mut rmw_node_t) -> rmw_ret_t {
-    answer(|| {
+    fn rmw_destroy_node(handle: *mut rmw_node_t) {
         // SAFETY: rmw's contract; checked to be ours, so created above.
         unsafe {
             behind(handle)?;
@@ -218,15 +169,9 @@ pub unsafe extern "C" fn rmw_destroy_node(handle: *mut rmw_node_t) -> rmw_ret_t 
             rmw_node_free(handle);
         }
         Ok(())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_node_get_graph_guard_condition(
-    handle: *const rmw_node_t,
-) -> *const rmw_guard_condition_t {
-    // SAFETY: rmw's contract.
-    made(|| Ok(unsafe { behind(handle)? }.graph_guard))
+    fn rmw_node_get_graph_guard_condition(node: *const rmw_node_t => behind) -> *const rmw_guard_condition_t {
+        Ok(node.graph_guard)
+    }
 }

@@ -3,8 +3,8 @@
 
 use crate::bindings::*;
 use crate::distro;
-use crate::error::{Error, Result, answer, checked, without_text};
-use crate::handle::{IDENTIFIER, check_identifier, place};
+use crate::error::{Error, Result, checked, without_text};
+use crate::handle::{IDENTIFIER, check_allocator, check_initialised, check_zero, exported};
 use tautline_transport::MAX_DOMAIN;
 
 /// `RMW_DEFAULT_DOMAIN_ID`: rcl reads ROS_DOMAIN_ID before it calls this.
@@ -35,60 +35,50 @@ pub(crate) fn copied(code: rmw_ret_t) -> Result {
     checked(code, "copying the options")
 }
 
-fn is_valid(allocator: &rcutils_allocator_t) -> bool {
-    allocator.allocate.is_some()
-        && allocator.deallocate.is_some()
-        && allocator.reallocate.is_some()
-        && allocator.zero_allocate.is_some()
+/// Frees the memory of options.
+///
+/// # Safety
+/// They are initialised.
+unsafe fn finish(options: &mut rmw_init_options_t) {
+    let allocator = options.allocator;
+    // SAFETY: the caller's contract: each is initialised or zero.
+    unsafe {
+        if let Some(deallocate) = allocator.deallocate
+            && !options.enclave.is_null()
+        {
+            deallocate(options.enclave.cast(), allocator.state);
+        }
+        without_text(|| {
+            let _ = rmw_security_options_fini(&mut options.security_options, &allocator);
+            distro::finish_discovery(options);
+        });
+        *options = rmw_get_zero_initialized_init_options();
+    }
 }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_init_options_init(
-    options: *mut rmw_init_options_t,
-    allocator: rcutils_allocator_t,
-) -> rmw_ret_t {
-    answer(|| {
+exported! {
+    fn rmw_init_options_init(
+        options: *mut rmw_init_options_t => place "the options",
+        allocator: rcutils_allocator_t,
+    ) {
         // rcl calls this first.
         distro::check()?;
-        // SAFETY: rmw's contract.
-        let options = unsafe { place(options, "the options")? };
-        if !is_valid(&allocator) {
-            return Err(Error::invalid("the allocator is not initialised"));
-        }
-        if !options.implementation_identifier.is_null() {
-            return Err(Error::invalid("the options are initialised already"));
-        }
+        check_allocator(&allocator)?;
+        check_zero(options.implementation_identifier, "the options")?;
         // SAFETY: no conditions.
         *options = unsafe { rmw_get_zero_initialized_init_options() };
         options.implementation_identifier = IDENTIFIER.as_ptr();
         options.domain_id = DEFAULT_DOMAIN;
         options.allocator = allocator;
         Ok(())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_init_options_copy(
-    source: *const rmw_init_options_t,
-    destination: *mut rmw_init_options_t,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let (source, destination) = unsafe {
-            let source = source.as_ref().ok_or_else(|| Error::null("the source"))?;
-            (source, place(destination, "the destination")?)
-        };
-        if source.implementation_identifier.is_null() {
-            return Err(Error::invalid("the source is not initialised"));
-        }
-        check_identifier(source.implementation_identifier, "the source")?;
-        if !destination.implementation_identifier.is_null() {
-            return Err(Error::invalid("the destination is initialised already"));
-        }
+    fn rmw_init_options_copy(
+        source: *const rmw_init_options_t => given "the source",
+        destination: *mut rmw_init_options_t => place "the destination",
+    ) {
+        check_initialised(source.implementation_identifier, "the source")?;
+        check_zero(destination.implementation_identifier, "the destination")?;
         let allocator = source.allocator;
         // SAFETY: the source is initialised; the destination is zero.
         unsafe {
@@ -117,46 +107,13 @@ pub unsafe extern "C" fn rmw_init_options_copy(
             *destination = copy;
         }
         Ok(())
-    })
-}
-
-/// Frees the memory of options.
-///
-/// # Safety
-/// They are initialised.
-unsafe fn finish(options: &mut rmw_init_options_t) {
-    let allocator = options.allocator;
-    // SAFETY: the caller's contract: each is initialised or zero.
-    unsafe {
-        if let Some(deallocate) = allocator.deallocate
-            && !options.enclave.is_null()
-        {
-            deallocate(options.enclave.cast(), allocator.state);
-        }
-        without_text(|| {
-            let _ = rmw_security_options_fini(&mut options.security_options, &allocator);
-            distro::finish_discovery(options);
-        });
-        *options = rmw_get_zero_initialized_init_options();
     }
-}
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_init_options_fini(options: *mut rmw_init_options_t) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let options = unsafe { place(options, "the options")? };
-        if options.implementation_identifier.is_null() {
-            return Err(Error::invalid("the options are not initialised"));
-        }
-        check_identifier(options.implementation_identifier, "the options")?;
-        if !is_valid(&options.allocator) {
-            return Err(Error::invalid("the allocator is not initialised"));
-        }
+    fn rmw_init_options_fini(options: *mut rmw_init_options_t => place "the options") {
+        check_initialised(options.implementation_identifier, "the options")?;
+        check_allocator(&options.allocator)?;
         // SAFETY: initialised.
         unsafe { finish(options) };
         Ok(())
-    })
+    }
 }

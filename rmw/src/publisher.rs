@@ -3,10 +3,10 @@
 
 use crate::bindings::*;
 use crate::cdr::{Callbacks, Length};
-use crate::error::{Error, Result, answer, made};
+use crate::error::{Error, Result};
 use crate::event::{Happened, Sources};
-use crate::handle::{IDENTIFIER, behind, copy_text, free_text, gid_to_ros, place};
-use crate::node::{self, Node};
+use crate::handle::{exported, gid_to_ros, hand_out};
+use crate::node::NodeOfEndpoint;
 use crate::on_new::Listeners;
 use crate::qos::{self, EndpointRole};
 use crate::serialization::little_body;
@@ -24,7 +24,7 @@ use tautline_transport::{Gid, MatchedCount, PublishError, RawLoan, RawPublisher}
 pub(crate) struct Publisher {
     pub(crate) events: Sources,
     happened: Arc<Happened>,
-    node: *const Node,
+    node: NodeOfEndpoint,
     message_type: MessageType,
     qos: rmw_qos_profile_t,
     gid: Gid,
@@ -68,13 +68,8 @@ impl Drop for Publisher {
 }
 
 impl Publisher {
-    fn node(&self) -> &Node {
-        // SAFETY: rmw's contract: a node outlives its endpoints.
-        unsafe { &*self.node }
-    }
-
     pub(crate) fn listen(&self) -> Result {
-        let helper = &self.node().context().helper;
+        let helper = &self.node.context().helper;
         let events = || Ok(PublisherEvents::new(helper.events(), &self.side.lock().raw)?);
         self.happened.listen(helper, events)
     }
@@ -171,17 +166,12 @@ unsafe fn check_support(support: *const rosidl_message_type_support_t, publisher
     }
 }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_borrow_loaned_message(
-    handle: *const rmw_publisher_t,
-    support: *const rosidl_message_type_support_t,
-    message: *mut *mut c_void,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let (publisher, message) = unsafe { (behind(handle)?, place(message, "the message")?) };
+exported! {
+    fn rmw_borrow_loaned_message(
+        publisher: *const rmw_publisher_t => behind,
+        support: *const rosidl_message_type_support_t,
+        message: *mut *mut c_void => place "the message",
+    ) {
         if !message.is_null() {
             return Err(Error::invalid("the message is not null"));
         }
@@ -189,78 +179,46 @@ pub unsafe extern "C" fn rmw_borrow_loaned_message(
         unsafe { check_support(support, publisher)? };
         *message = publisher.lend()?;
         Ok(())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_return_loaned_message_from_publisher(
-    handle: *const rmw_publisher_t,
-    message: *mut c_void,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let publisher = unsafe { behind(handle)? };
-        if message.is_null() {
-            return Err(Error::null("the message"));
-        }
+    fn rmw_return_loaned_message_from_publisher(
+        publisher: *const rmw_publisher_t => behind,
+        message: *mut c_void => present "the message",
+    ) {
         publisher.side.lock().take_back(message).map(drop)
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_publish_loaned_message(
-    handle: *const rmw_publisher_t,
-    message: *mut c_void,
-    _allocation: *mut rmw_publisher_allocation_t,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let publisher = unsafe { behind(handle)? };
-        if message.is_null() {
-            return Err(Error::null("the message"));
-        }
+    fn rmw_publish_loaned_message(
+        publisher: *const rmw_publisher_t => behind,
+        message: *mut c_void => present "the message",
+        _allocation: *mut rmw_publisher_allocation_t,
+    ) {
         let mut side = publisher.side.lock();
         let mut loan = side.take_back(message)?;
         publisher.message_type.tidy(&mut loan);
         publisher.publish_loan(side, loan)
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_create_publisher(
-    node: *const rmw_node_t,
-    support: *const rosidl_message_type_support_t,
-    topic: *const c_char,
-    profile: *const rmw_qos_profile_t,
-    options: *const rmw_publisher_options_t,
-) -> *mut rmw_publisher_t {
-    made(|| {
+    fn rmw_create_publisher(
+        node: *const rmw_node_t,
+        support: *const rosidl_message_type_support_t,
+        topic: *const c_char,
+        profile: *const rmw_qos_profile_t,
+        options: *const rmw_publisher_options_t => given "the options",
+    ) -> *mut rmw_publisher_t {
+        let flows = options.require_unique_network_flow_endpoints;
         // SAFETY: rmw's contract.
-        let (options, asked) = unsafe {
-            let options = options.as_ref().ok_or_else(|| Error::null("the options"))?;
-            let flows = options.require_unique_network_flow_endpoints;
-            (options, EndpointArgs::new(node, support, topic, profile, flows)?)
-        };
+        let asked = unsafe { EndpointArgs::new(node, support, topic, profile, flows)? };
         let wanted = asked.qos(EndpointRole::Publisher)?;
         let EndpointArgs { node, message_type, name, profile } = asked;
         let _node = tautline_trace::in_node(node.traced.id());
-        let raw = node.participant.create_raw_publisher(
-            name,
-            &message_type.topic_type,
-            wanted,
-            message_type.limits(),
-        )?;
+        let (of, limits) = (&message_type.topic_type, message_type.limits());
+        let raw = node.participant.create_raw_publisher(name, of, wanted, limits)?;
         let happened = Arc::<Happened>::default();
         let publisher = Publisher {
             events: Sources::new(&happened),
             happened,
-            node,
+            node: node.into(),
             message_type,
             qos: qos::to_ros(&wanted, profile.avoid_ros_namespace_conventions),
             gid: raw.gid(),
@@ -270,52 +228,21 @@ pub unsafe extern "C" fn rmw_create_publisher(
             side: PiMutex::new(Publishing { loans: Vec::new(), raw: Box::new(raw) }),
         };
         let can_loan_messages = publisher.message_type.is_plain();
-        let topic_name = copy_text(name)?;
-        // SAFETY: rmw's own memory, written before anyone can see it.
-        unsafe {
-            let handle = rmw_publisher_allocate();
-            if handle.is_null() {
-                free_text(topic_name);
-                return Err(Error::new(RET_BAD_ALLOC, "no memory for a publisher"));
-            }
-            handle.write(rmw_publisher_t {
-                implementation_identifier: IDENTIFIER.as_ptr(),
-                data: Box::into_raw(Box::new(publisher)).cast(),
-                topic_name,
-                options: *options,
-                can_loan_messages,
-            });
-            node.own(handle);
-            Ok(handle)
-        }
-    })
-}
+        hand_out(node, name, publisher, |handle: &mut rmw_publisher_t| {
+            (handle.options, handle.can_loan_messages) = (*options, can_loan_messages);
+        })
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_destroy_publisher(
-    node: *mut rmw_node_t,
-    handle: *mut rmw_publisher_t,
-) -> rmw_ret_t {
-    // SAFETY: rmw's contract.
-    answer(|| unsafe { node::destroy_endpoint(node, handle) })
-}
-
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_publish(
-    handle: *const rmw_publisher_t,
-    message: *const c_void,
-    _allocation: *mut rmw_publisher_allocation_t,
-) -> rmw_ret_t {
-    answer(|| {
+    fn rmw_destroy_publisher(node: *mut rmw_node_t => behind, publisher: *mut rmw_publisher_t) {
         // SAFETY: rmw's contract.
-        let publisher = unsafe { behind(handle)? };
-        if message.is_null() {
-            return Err(Error::null("the message"));
-        }
+        unsafe { node.destroy(publisher) }
+    }
+
+    fn rmw_publish(
+        publisher: *const rmw_publisher_t => behind,
+        message: *const c_void => present "the message",
+        _allocation: *mut rmw_publisher_allocation_t,
+    ) {
         let MessageType { callbacks, length, .. } = publisher.message_type;
         if let Length::Plain(len_bytes) = length {
             return publisher.publish(len_bytes, |body| {
@@ -329,96 +256,52 @@ pub unsafe extern "C" fn rmw_publish(
         let estimate = unsafe { callbacks.estimate(message)? };
         // SAFETY: as above.
         publisher.publish(estimate, |body| unsafe { callbacks.write(message, body) })
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_publish_serialized_message(
-    handle: *const rmw_publisher_t,
-    message: *const rmw_serialized_message_t,
-    _allocation: *mut rmw_publisher_allocation_t,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let (publisher, message) = unsafe {
-            let message = message.as_ref().ok_or_else(|| Error::null("the serialized message"))?;
-            (behind(handle)?, message)
-        };
+    fn rmw_publish_serialized_message(
+        publisher: *const rmw_publisher_t => behind,
+        message: *const rmw_serialized_message_t => given "the serialized message",
+        _allocation: *mut rmw_publisher_allocation_t,
+    ) {
         // SAFETY: rmw's contract.
         let body = unsafe { little_body(message, &publisher.message_type)? };
         publisher.publish(body.len(), |loan| {
             tautline_rt::copy_to_shared(loan, &body);
             Ok(body.len())
         })
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_publisher_count_matched_subscriptions(
-    handle: *const rmw_publisher_t,
-    count: *mut usize,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let (publisher, count) = unsafe { (behind(handle)?, place(count, "the count")?) };
+    fn rmw_publisher_count_matched_subscriptions(
+        publisher: *const rmw_publisher_t => behind,
+        count: *mut usize => place "the count",
+    ) {
         *count = publisher.matched.get();
         Ok(())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_publisher_get_actual_qos(
-    handle: *const rmw_publisher_t,
-    profile: *mut rmw_qos_profile_t,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let (publisher, profile) = unsafe { (behind(handle)?, place(profile, "the QoS profile")?) };
+    fn rmw_publisher_get_actual_qos(
+        publisher: *const rmw_publisher_t => behind,
+        profile: *mut rmw_qos_profile_t => place "the QoS profile",
+    ) {
         *profile = publisher.qos;
         Ok(())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_publisher_assert_liveliness(handle: *const rmw_publisher_t) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        unsafe { behind(handle)? }.side.lock().raw.assert_liveliness();
+    fn rmw_publisher_assert_liveliness(publisher: *const rmw_publisher_t => behind) {
+        publisher.side.lock().raw.assert_liveliness();
         Ok(())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_publisher_wait_for_all_acked(
-    handle: *const rmw_publisher_t,
-    _timeout: rmw_time_t,
-) -> rmw_ret_t {
-    // Messages are in the queues of subscriptions when `rmw_publish` returns.
-    // SAFETY: rmw's contract.
-    answer(|| unsafe { behind(handle) }.map(drop))
-}
+    /// Messages are in the queues of subscriptions when `rmw_publish` returns.
+    fn rmw_publisher_wait_for_all_acked(_publisher: *const rmw_publisher_t => behind, _timeout: rmw_time_t) {
+        Ok(())
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_get_gid_for_publisher(
-    handle: *const rmw_publisher_t,
-    gid: *mut rmw_gid_t,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let (publisher, gid) = unsafe { (behind(handle)?, place(gid, "the gid")?) };
+    fn rmw_get_gid_for_publisher(
+        publisher: *const rmw_publisher_t => behind,
+        gid: *mut rmw_gid_t => place "the gid",
+    ) {
         *gid = gid_to_ros(publisher.gid);
         Ok(())
-    })
+    }
 }

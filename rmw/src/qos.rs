@@ -4,8 +4,8 @@
 use crate::bindings::*;
 #[cfg(humble)]
 use crate::distro::*;
-use crate::error::{Error, Result, answer};
-use crate::handle::place;
+use crate::error::{Error, Result};
+use crate::handle::exported;
 use std::ffi::c_char;
 use std::time::Duration;
 use tautline_transport::{
@@ -238,38 +238,30 @@ fn settled(profile: &rmw_qos_profile_t, other: &rmw_qos_profile_t) -> rmw_qos_pr
     }
 }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_qos_profile_check_compatible(
-    publisher: rmw_qos_profile_t,
-    subscription: rmw_qos_profile_t,
-    compatibility: *mut rmw_qos_compatibility_type_t,
-    reason: *mut c_char,
-    reason_size: usize,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let compatibility = unsafe { place(compatibility, "compatibility")? };
+exported! {
+    fn rmw_qos_profile_check_compatible(
+        publisher: rmw_qos_profile_t,
+        subscription: rmw_qos_profile_t,
+        compatibility: *mut rmw_qos_compatibility_type_t => place "compatibility",
+        reason: *mut c_char,
+        reason_size: usize,
+    ) {
         if reason.is_null() && reason_size != 0 {
             return Err(Error::invalid("reason is null, and its size is not zero"));
         }
         let none = std::iter::empty();
         let offered = from_ros(&settled(&publisher, &subscription), EndpointRole::Publisher, none.clone())?;
         let requested = from_ros(&settled(&subscription, &publisher), EndpointRole::Subscription, none)?;
-        let text = match offered.incompatibility(&requested) {
+        let text;
+        (*compatibility, text) = match offered.incompatibility(&requested) {
             Some(policy) => {
-                *compatibility = RMW_QOS_COMPATIBILITY_ERROR;
-                format!("ERROR: the offered {policy} does not meet the requested one;")
+                (RMW_QOS_COMPATIBILITY_ERROR, format!("ERROR: the offered {policy} does not meet the requested one;"))
             }
             None if is_open(&publisher) || is_open(&subscription) => {
-                *compatibility = RMW_QOS_COMPATIBILITY_WARNING;
-                "WARNING: a policy is a system default, and may be incompatible;".to_owned()
+                let text = "WARNING: a policy is a system default, and may be incompatible;";
+                (RMW_QOS_COMPATIBILITY_WARNING, text.to_owned())
             }
-            None => {
-                *compatibility = RMW_QOS_COMPATIBILITY_OK;
-                String::new()
-            }
+            None => (RMW_QOS_COMPATIBILITY_OK, String::new()),
         };
         if reason_size > 0 {
             let length = text.len().min(reason_size - 1);
@@ -280,5 +272,5 @@ pub unsafe extern "C" fn rmw_qos_profile_check_compatible(
             }
         }
         Ok(())
-    })
+    }
 }

@@ -2,8 +2,8 @@
 //! Serialized messages: a CDR body behind four bytes of encapsulation.
 
 use crate::bindings::*;
-use crate::error::{Error, Result, answer};
-use crate::handle::place;
+use crate::error::{Error, Result};
+use crate::handle::exported;
 use crate::lend::give_back;
 use crate::types::MessageType;
 use std::borrow::Cow;
@@ -84,22 +84,15 @@ pub(crate) fn write_serialized(body: &[u8], message: &mut rmw_serialized_message
     Ok(())
 }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_serialize(
-    message: *const c_void,
-    support: *const rosidl_message_type_support_t,
-    serialized: *mut rmw_serialized_message_t,
-) -> rmw_ret_t {
-    answer(|| {
-        if message.is_null() {
-            return Err(Error::null("the message"));
-        }
+exported! {
+    fn rmw_serialize(
+        message: *const c_void => present "the message",
+        support: *const rosidl_message_type_support_t,
+        serialized: *mut rmw_serialized_message_t => place "the serialized message",
+    ) {
         // SAFETY: rmw's contract.
         unsafe {
             let of = MessageType::of(support)?;
-            let serialized = place(serialized, "the serialized message")?;
             let estimate = of.callbacks.estimate(message)?;
             resize(serialized, HEADER_BYTES + estimate)?;
             // Uninitialised memory must not become a slice.
@@ -110,27 +103,18 @@ pub unsafe extern "C" fn rmw_serialize(
             serialized.buffer_length = HEADER_BYTES + of.callbacks.write(message, body)?;
         }
         Ok(())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_deserialize(
-    serialized: *const rmw_serialized_message_t,
-    support: *const rosidl_message_type_support_t,
-    message: *mut c_void,
-) -> rmw_ret_t {
-    answer(|| {
-        if message.is_null() {
-            return Err(Error::null("the message"));
-        }
+    fn rmw_deserialize(
+        serialized: *const rmw_serialized_message_t => given "the serialized message",
+        support: *const rosidl_message_type_support_t,
+        message: *mut c_void => present "the message",
+    ) {
         // SAFETY: rmw's contract.
         unsafe {
             let of = MessageType::of(support)?;
-            let serialized = serialized.as_ref().ok_or_else(|| Error::null("the serialized message"))?;
             let (body, is_little) = body(bytes(serialized))?;
             of.callbacks.read(body, is_little, message)
         }
-    })
+    }
 }

@@ -3,9 +3,9 @@
 
 use crate::bindings::*;
 use crate::end::{MessageQueue, ReceivingEndpoint};
-use crate::error::{Error, Result, answer, made};
-use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, text};
-use crate::node::{self, Node, check_full_name};
+use crate::error::{Error, Result};
+use crate::handle::{endpoint_name, exported, hand_out};
+use crate::node::NodeOfEndpoint;
 use crate::on_new::Listeners;
 use crate::qos::{self, EndpointRole};
 use crate::types::ServiceSupport;
@@ -16,7 +16,7 @@ use tautline_transport::{
 };
 
 pub(crate) struct Service {
-    node: *const Node,
+    node: NodeOfEndpoint,
     of: ServiceSupport,
     qos: rmw_qos_profile_t,
     depth: Depth,
@@ -40,11 +40,6 @@ impl Drop for Service {
 }
 
 impl Service {
-    fn node(&self) -> &Node {
-        // SAFETY: rmw's contract: a node outlives its endpoints.
-        unsafe { &*self.node }
-    }
-
     /// The endpoint, whose requests wake wait sets.
     pub(crate) fn end(&self) -> &ReceivingEndpoint<RawServer> {
         &self.end
@@ -56,30 +51,6 @@ impl Service {
         let failure = refused.map_or_else(|error| format!("; {error}"), |()| String::new());
         tracing::warn!("a request to service '{}' was refused: {reason}{failure}", raw.service());
     }
-}
-
-/// The QoS of a service or client.
-pub(crate) fn profile_of(profile: *const rmw_qos_profile_t) -> Result<Qos> {
-    // SAFETY: rmw's contract.
-    let profile = unsafe { profile.as_ref() }.ok_or_else(|| Error::null("the QoS profile"))?;
-    qos::from_ros(profile, EndpointRole::Service, std::iter::empty())
-}
-
-/// A service's name, checked against ROS's rules unless the profile disables that.
-///
-/// # Safety
-/// As documented by rmw.
-pub(crate) unsafe fn name_of<'n>(name: *const c_char, profile: *const rmw_qos_profile_t) -> Result<&'n str> {
-    // SAFETY: the caller's contract.
-    let (read, profile) = unsafe { (text(name, "the service's name")?, profile.as_ref()) };
-    if read.is_empty() {
-        return Err(Error::invalid("the service's name is empty"));
-    }
-    if !profile.is_some_and(|profile| profile.avoid_ros_namespace_conventions) {
-        // SAFETY: the caller's contract.
-        unsafe { check_full_name(name, "the service's name")? };
-    }
-    Ok(read)
 }
 
 /// Queue limits for requests or responses that arrive faster than they are taken.
@@ -97,16 +68,13 @@ impl Depth {
     /// The default depth of services and clients: as a limit over all clients it would lose requests.
     const DEFAULT: usize = 10;
 
-    /// For an endpoint with this checked profile and its QoS. A depth below the default is a limit; otherwise it is a minimum.
-    ///
-    /// # Safety
-    /// As documented by rmw.
-    pub(crate) unsafe fn of(profile: *const rmw_qos_profile_t, qos: &Qos) -> Self {
-        // SAFETY: the caller's contract.
-        let is_wish =
-            unsafe { profile.as_ref() }.is_some_and(|asked| (1..Self::DEFAULT).contains(&asked.depth));
-        let kept = if is_wish && qos.history == History::KeepLast { qos.depth as u64 } else { u64::MAX };
-        Depth { room: qos.depth.max(Self::ROOM), kept }
+    /// The QoS and limits of a service or client. A depth below the default is a limit; otherwise it is a minimum.
+    pub(crate) fn of(profile: &rmw_qos_profile_t) -> Result<(Qos, Self)> {
+        let qos = qos::from_ros(profile, EndpointRole::Service, std::iter::empty())?;
+        let is_limit = (1..Self::DEFAULT).contains(&profile.depth) && qos.history == History::KeepLast;
+        let kept = if is_limit { qos.depth as u64 } else { u64::MAX };
+        let room = qos.depth.max(Self::ROOM);
+        Ok((qos, Depth { room, kept }))
     }
 
     /// Takes the oldest kept message. `lose` gets those before it.
@@ -144,79 +112,43 @@ pub(crate) fn info_of(info: &MessageInfo, received_ns: i64) -> rmw_service_info_
     }
 }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_create_service(
-    node: *const rmw_node_t,
-    support: *const rosidl_service_type_support_t,
-    name: *const c_char,
-    profile: *const rmw_qos_profile_t,
-) -> *mut rmw_service_t {
-    made(|| {
+exported! {
+    fn rmw_create_service(
+        node: *const rmw_node_t => behind,
+        support: *const rosidl_service_type_support_t,
+        name: *const c_char,
+        profile: *const rmw_qos_profile_t => given "the QoS profile",
+    ) -> *mut rmw_service_t {
         // SAFETY: rmw's contract.
-        let (node, of, name) = unsafe {
-            let node = behind(node)?;
-            (node, ServiceSupport::of(support)?, name_of(name, profile)?)
-        };
-        let wanted = profile_of(profile)?;
-        // SAFETY: rmw's contract.
-        let depth = unsafe { Depth::of(profile, &wanted) };
+        let (of, name) =
+            unsafe { (ServiceSupport::of(support)?, endpoint_name(name, "the service's name", profile)?) };
+        let (wanted, depth) = Depth::of(profile)?;
         let _node = tautline_trace::in_node(node.traced.id());
-        let raw =
-            node.participant.create_raw_server(name, &of.service_type, depth.room, of.response.limits())?;
+        let limits = of.response.limits();
+        let raw = node.participant.create_raw_server(name, &of.service_type, depth.room, limits)?;
         let listeners = &node.context().listeners;
         let service = Service {
-            node,
+            node: node.into(),
             of,
             qos: qos::to_ros(&wanted, false),
             depth,
             listeners: listeners.of_responses(name),
             end: ReceivingEndpoint::new(node, raw, listeners.of_requests(name))?,
         };
-        let service_name = copy_text(name)?;
-        // SAFETY: rmw's own memory, written before anyone can see it.
-        unsafe {
-            let handle = rmw_service_allocate();
-            if handle.is_null() {
-                free_text(service_name);
-                return Err(Error::new(RET_BAD_ALLOC, "no memory for a service"));
-            }
-            handle.write(rmw_service_t {
-                implementation_identifier: IDENTIFIER.as_ptr(),
-                data: Box::into_raw(Box::new(service)).cast(),
-                service_name,
-            });
-            node.own(handle);
-            Ok(handle)
-        }
-    })
-}
+        hand_out(node, name, service, |_| ())
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_destroy_service(node: *mut rmw_node_t, handle: *mut rmw_service_t) -> rmw_ret_t {
-    // SAFETY: rmw's contract.
-    answer(|| unsafe { node::destroy_endpoint(node, handle) })
-}
-
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_take_request(
-    handle: *const rmw_service_t,
-    header: *mut rmw_service_info_t,
-    request: *mut c_void,
-    taken: *mut bool,
-) -> rmw_ret_t {
-    answer(|| {
+    fn rmw_destroy_service(node: *mut rmw_node_t => behind, service: *mut rmw_service_t) {
         // SAFETY: rmw's contract.
-        let (service, header, taken) =
-            unsafe { (behind(handle)?, place(header, "the header")?, place(taken, "taken")?) };
-        if request.is_null() {
-            return Err(Error::null("the request"));
-        }
+        unsafe { node.destroy(service) }
+    }
+
+    fn rmw_take_request(
+        service: *const rmw_service_t => behind,
+        header: *mut rmw_service_info_t => place "the header",
+        request: *mut c_void => present "the request",
+        taken: *mut bool => place "taken",
+    ) {
         *taken = false;
         // At the limit of held samples: the threads that are in a take will release some.
         let oldest = service.end.take(|raw| {
@@ -234,23 +166,13 @@ pub unsafe extern "C" fn rmw_take_request(
         *header = info_of(&info, service.end.begin(&info));
         *taken = true;
         Ok(())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_send_response(
-    handle: *const rmw_service_t,
-    header: *mut rmw_request_id_t,
-    response: *mut c_void,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let (service, header) = unsafe { (behind(handle)?, place(header, "the header")?) };
-        if response.is_null() {
-            return Err(Error::null("the response"));
-        }
+    fn rmw_send_response(
+        service: *const rmw_service_t => behind,
+        header: *mut rmw_request_id_t => place "the header",
+        response: *mut c_void => present "the response",
+    ) {
         let sequence_number = u64::try_from(header.sequence_number)
             .map_err(|_| Error::invalid("the request's sequence number is negative"))?;
         let id = RequestId { client: Gid(header.writer_guid.map(|byte| byte as _)), sequence_number };
@@ -274,7 +196,31 @@ pub unsafe extern "C" fn rmw_send_response(
             Err(Failed::Send(error)) => Err(error.into()),
             Err(Failed::Write(error)) => Err(error),
         }
-    })
+    }
+
+    fn rmw_service_request_subscription_get_actual_qos(
+        service: *const rmw_service_t => behind,
+        profile: *mut rmw_qos_profile_t => place "the QoS profile",
+    ) {
+        *profile = service.qos;
+        Ok(())
+    }
+
+    fn rmw_service_response_publisher_get_actual_qos(
+        service: *const rmw_service_t => behind,
+        profile: *mut rmw_qos_profile_t => place "the QoS profile",
+    ) {
+        *profile = service.qos;
+        Ok(())
+    }
+
+    fn rmw_service_set_on_new_request_callback(
+        service: *mut rmw_service_t => behind,
+        callback: rmw_event_callback_t,
+        data: *const c_void,
+    ) {
+        service.end.set_on_new(service.node.context(), callback, data)
+    }
 }
 
 /// Why a response was not sent.
@@ -287,52 +233,4 @@ impl From<ServiceError> for Failed {
     fn from(error: ServiceError) -> Self {
         Failed::Send(error)
     }
-}
-
-/// # Safety
-/// As documented by rmw.
-unsafe fn actual_qos(handle: *const rmw_service_t, profile: *mut rmw_qos_profile_t) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let (service, profile) = unsafe { (behind(handle)?, place(profile, "the QoS profile")?) };
-        *profile = service.qos;
-        Ok(())
-    })
-}
-
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_service_request_subscription_get_actual_qos(
-    handle: *const rmw_service_t,
-    profile: *mut rmw_qos_profile_t,
-) -> rmw_ret_t {
-    // SAFETY: rmw's contract.
-    unsafe { actual_qos(handle, profile) }
-}
-
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_service_response_publisher_get_actual_qos(
-    handle: *const rmw_service_t,
-    profile: *mut rmw_qos_profile_t,
-) -> rmw_ret_t {
-    // SAFETY: rmw's contract.
-    unsafe { actual_qos(handle, profile) }
-}
-
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_service_set_on_new_request_callback(
-    handle: *mut rmw_service_t,
-    callback: rmw_event_callback_t,
-    data: *const c_void,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let service = unsafe { behind(handle)? };
-        service.end.set_on_new(service.node().context(), callback.map(|function| (function, data)))
-    })
 }

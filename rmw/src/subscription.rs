@@ -4,11 +4,11 @@
 use crate::bindings::*;
 use crate::cdr::Length;
 use crate::end::ReceivingEndpoint;
-use crate::error::{Error, Result, answer, made};
+use crate::error::{Error, Result};
 use crate::event::{Happened, Sources};
-use crate::handle::{IDENTIFIER, behind, copy_text, free_text, gid_to_ros, place};
+use crate::handle::{exported, gid_to_ros, hand_out, present};
 use crate::lend::{LentCount, lend};
-use crate::node::{self, Node};
+use crate::node::NodeOfEndpoint;
 use crate::qos::{self, EndpointRole};
 use crate::serialization::write_serialized;
 use crate::topic::EndpointArgs;
@@ -24,7 +24,7 @@ use tautline_transport::{MatchedCount, MessageInfo, RawSample, RawSubscription, 
 pub(crate) struct Subscription {
     pub(crate) events: Sources,
     happened: Arc<Happened>,
-    node: *const Node,
+    node: NodeOfEndpoint,
     message_type: MessageType,
     qos: rmw_qos_profile_t,
     /// The participant whose publications are ignored.
@@ -52,11 +52,6 @@ impl Drop for Subscription {
 }
 
 impl Subscription {
-    fn node(&self) -> &Node {
-        // SAFETY: rmw's contract: a node outlives its endpoints.
-        unsafe { &*self.node }
-    }
-
     /// The endpoint, whose messages wake wait sets.
     pub(crate) fn end(&self) -> &ReceivingEndpoint<RawSubscription> {
         &self.end
@@ -68,16 +63,13 @@ impl Subscription {
     }
 
     pub(crate) fn listen(&self) -> Result {
-        let helper = &self.node().context().helper;
+        let helper = &self.node.context().helper;
         let events = || Ok(self.end.with(|raw| SubscriptionEvents::new(helper.events(), raw))?);
         self.happened.listen(helper, events)
     }
 
     /// Takes the next sample, and its message with `read`. Invalid messages are skipped and logged.
-    fn take<T>(
-        &self,
-        mut read: impl FnMut(RawSample) -> Result<T>,
-    ) -> Result<Option<(T, rmw_message_info_t)>> {
+    fn take(&self, mut read: impl FnMut(RawSample) -> Result) -> Result<Option<rmw_message_info_t>> {
         for _ in 0..PASSED_OVER {
             let taken = self.end.take(RawSubscription::try_take);
             let sample = match taken {
@@ -94,9 +86,9 @@ impl Subscription {
             }
             let info = sample.info();
             match read(sample) {
-                Ok(message) => {
+                Ok(()) => {
                     let received_ns = self.end.begin(&info);
-                    return Ok(Some((message, self.info(info, received_ns))));
+                    return Ok(Some(self.info(info, received_ns)));
                 }
                 // Not an error for the caller: executors would end, and any process can publish.
                 Err(error) if error.code == RET_ERROR => self.warn(&format!("{error:?}")),
@@ -125,11 +117,9 @@ impl Subscription {
     /// # Safety
     /// `message` is null or a message of this type, initialised.
     unsafe fn take_message(&self, message: *mut c_void) -> Result<Option<rmw_message_info_t>> {
-        if message.is_null() {
-            return Err(Error::null("the message"));
-        }
+        let message = present(message, "the message")?;
         let MessageType { callbacks, length, .. } = self.message_type;
-        let taken = self.take(|sample| {
+        self.take(|sample| {
             let body = sample.body();
             let Length::Plain(len_bytes) = length else {
                 // SAFETY: the caller's contract.
@@ -139,8 +129,7 @@ impl Subscription {
             // SAFETY: the caller's contract: a struct of this type, which begins with this many bytes of the body.
             unsafe { message.cast::<u8>().copy_from_nonoverlapping(body.as_ptr(), len_bytes) };
             Ok(())
-        })?;
-        Ok(taken.map(|((), info)| info))
+        })
     }
 
     /// Checks that a body is a valid struct in memory: long enough, and with valid bools.
@@ -157,90 +146,79 @@ impl Subscription {
     }
 
     /// Takes a message that ROS reads in shared memory.
-    fn take_loan(&self) -> Result<Option<(*mut c_void, rmw_message_info_t)>> {
+    fn take_loan(&self, message: &mut *mut c_void) -> Result<Option<rmw_message_info_t>> {
+        if !message.is_null() {
+            return Err(Error::invalid("the message is not null"));
+        }
         let Length::Plain(len_bytes) = self.message_type.length else {
             return Err(Error::unsupported("this type cannot be loaned: its layout differs from CDR"));
         };
         self.take(|sample| {
             let body = sample.body();
             self.check_plain(body, len_bytes)?;
-            let message = body.as_ptr().cast_mut().cast();
+            *message = body.as_ptr().cast_mut().cast();
             let mut loans = self.loans.lock();
             loans.push(sample);
             self.is_full.store(loans.len() >= HELD, Ordering::Relaxed);
-            Ok(message)
+            Ok(())
+        })
+    }
+
+    /// Takes a message as bytes.
+    ///
+    /// # Safety
+    /// `message` is initialised.
+    unsafe fn take_serialized(
+        &self,
+        message: &mut rmw_serialized_message_t,
+    ) -> Result<Option<rmw_message_info_t>> {
+        let own = self.node.participant.id();
+        self.take(|sample| {
+            // What this participant publishes it has mapped for writing.
+            let is_own = sample.port_gid().participant() == own;
+            // SAFETY: the caller's contract.
+            match if is_own { Err(sample) } else { unsafe { lend(sample, message, &self.lent) } } {
+                Ok(()) => Ok(()),
+                Err(sample) => write_serialized(sample.body(), message),
+            }
         })
     }
 }
 
-/// # Safety
-/// As documented by rmw.
-unsafe fn take_loaned(
-    handle: *const rmw_subscription_t,
-    message: *mut *mut c_void,
-    taken: *mut bool,
-) -> Result<Option<rmw_message_info_t>> {
-    // SAFETY: the caller's contract.
-    let (subscription, message, taken) =
-        unsafe { (behind(handle)?, place(message, "the message")?, place(taken, "taken")?) };
-    if !message.is_null() {
-        return Err(Error::invalid("the message is not null"));
-    }
-    let found = subscription.take_loan()?;
+/// Writes what was taken, if anything was.
+fn tell(found: Option<rmw_message_info_t>, taken: &mut bool, info: Option<&mut rmw_message_info_t>) {
     *taken = found.is_some();
-    Ok(found.map(|(loan, info)| {
-        *message = loan;
-        info
-    }))
+    if let (Some(found), Some(info)) = (found, info) {
+        *info = found;
+    }
 }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_take_loaned_message(
-    handle: *const rmw_subscription_t,
-    message: *mut *mut c_void,
-    taken: *mut bool,
-    _allocation: *mut rmw_subscription_allocation_t,
-) -> rmw_ret_t {
-    // SAFETY: rmw's contract.
-    answer(|| unsafe { take_loaned(handle, message, taken) }.map(drop))
-}
-
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_take_loaned_message_with_info(
-    handle: *const rmw_subscription_t,
-    message: *mut *mut c_void,
-    taken: *mut bool,
-    info: *mut rmw_message_info_t,
-    _allocation: *mut rmw_subscription_allocation_t,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let info = unsafe { place(info, "the information")? };
-        // SAFETY: rmw's contract.
-        if let Some(found) = unsafe { take_loaned(handle, message, taken)? } {
-            *info = found;
-        }
+exported! {
+    fn rmw_take_loaned_message(
+        subscription: *const rmw_subscription_t => behind,
+        message: *mut *mut c_void => place "the message",
+        taken: *mut bool => place "taken",
+        _allocation: *mut rmw_subscription_allocation_t,
+    ) {
+        tell(subscription.take_loan(message)?, taken, None);
         Ok(())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_return_loaned_message_from_subscription(
-    handle: *const rmw_subscription_t,
-    message: *mut c_void,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let subscription = unsafe { behind(handle)? };
-        if message.is_null() {
-            return Err(Error::null("the message"));
-        }
+    fn rmw_take_loaned_message_with_info(
+        subscription: *const rmw_subscription_t => behind,
+        message: *mut *mut c_void => place "the message",
+        taken: *mut bool => place "taken",
+        info: *mut rmw_message_info_t => place "the information",
+        _allocation: *mut rmw_subscription_allocation_t,
+    ) {
+        tell(subscription.take_loan(message)?, taken, Some(info));
+        Ok(())
+    }
+
+    fn rmw_return_loaned_message_from_subscription(
+        subscription: *const rmw_subscription_t => behind,
+        message: *mut c_void => present "the message",
+    ) {
         let mut loans = subscription.loans.lock();
         let at = loans.iter().position(|sample| sample.body().as_ptr().cast() == message.cast_const());
         let at = at.ok_or_else(|| Error::other("the message is not on loan from this subscription"))?;
@@ -251,42 +229,30 @@ pub unsafe extern "C" fn rmw_return_loaned_message_from_subscription(
             subscription.end.wake();
         }
         Ok(())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_create_subscription(
-    node: *const rmw_node_t,
-    support: *const rosidl_message_type_support_t,
-    topic: *const c_char,
-    profile: *const rmw_qos_profile_t,
-    options: *const rmw_subscription_options_t,
-) -> *mut rmw_subscription_t {
-    made(|| {
+    fn rmw_create_subscription(
+        node: *const rmw_node_t,
+        support: *const rosidl_message_type_support_t,
+        topic: *const c_char,
+        profile: *const rmw_qos_profile_t,
+        options: *const rmw_subscription_options_t => given "the options",
+    ) -> *mut rmw_subscription_t {
+        let flows = options.require_unique_network_flow_endpoints;
         // SAFETY: rmw's contract.
-        let (options, asked) = unsafe {
-            let options = options.as_ref().ok_or_else(|| Error::null("the options"))?;
-            let flows = options.require_unique_network_flow_endpoints;
-            (options, EndpointArgs::new(node, support, topic, profile, flows)?)
-        };
+        let asked = unsafe { EndpointArgs::new(node, support, topic, profile, flows)? };
         let mut wanted = asked.qos(EndpointRole::Subscription)?;
         let EndpointArgs { node, message_type, name, profile } = asked;
         node.context().system.set_depth(&node.full_name, name, &mut wanted);
         let _node = tautline_trace::in_node(node.traced.id());
-        let raw = node.participant.create_raw_subscription(
-            name,
-            &message_type.topic_type,
-            wanted,
-            message_type.limits(),
-        )?;
+        let (of, limits) = (&message_type.topic_type, message_type.limits());
+        let raw = node.participant.create_raw_subscription(name, of, wanted, limits)?;
         let (happened, matched, can_loan_messages) =
             (Arc::<Happened>::default(), raw.matched(), message_type.is_plain());
         let subscription = Subscription {
             events: Sources::new(&happened),
             happened,
-            node,
+            node: node.into(),
             message_type,
             qos: qos::to_ros(&wanted, profile.avoid_ros_namespace_conventions),
             ignored_participant: options.ignore_local_publications.then(|| node.participant.id()),
@@ -297,128 +263,64 @@ pub unsafe extern "C" fn rmw_create_subscription(
             lent: LentCount::default(),
             end: ReceivingEndpoint::new(node, raw, node.context().listeners.of(name))?,
         };
-        let topic_name = copy_text(name)?;
-        // SAFETY: rmw's own memory, written before anyone can see it.
-        unsafe {
-            let handle = rmw_subscription_allocate();
-            if handle.is_null() {
-                free_text(topic_name);
-                return Err(Error::new(RET_BAD_ALLOC, "no memory for a subscription"));
-            }
-            // What is not said of content filters is false.
-            handle.write(rmw_subscription_t::default());
-            (*handle).implementation_identifier = IDENTIFIER.as_ptr();
-            (*handle).data = Box::into_raw(Box::new(subscription)).cast();
-            (*handle).topic_name = topic_name;
-            (*handle).options = *options;
-            (*handle).can_loan_messages = can_loan_messages;
-            node.own(handle);
-            Ok(handle)
-        }
-    })
-}
+        // What is not said of content filters is false.
+        hand_out(node, name, subscription, |handle: &mut rmw_subscription_t| {
+            (handle.options, handle.can_loan_messages) = (*options, can_loan_messages);
+        })
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_destroy_subscription(
-    node: *mut rmw_node_t,
-    handle: *mut rmw_subscription_t,
-) -> rmw_ret_t {
-    // SAFETY: rmw's contract.
-    answer(|| unsafe { node::destroy_endpoint(node, handle) })
-}
-
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_subscription_count_matched_publishers(
-    handle: *const rmw_subscription_t,
-    count: *mut usize,
-) -> rmw_ret_t {
-    answer(|| {
+    fn rmw_destroy_subscription(node: *mut rmw_node_t => behind, subscription: *mut rmw_subscription_t) {
         // SAFETY: rmw's contract.
-        let (subscription, count) = unsafe { (behind(handle)?, place(count, "the count")?) };
+        unsafe { node.destroy(subscription) }
+    }
+
+    fn rmw_subscription_count_matched_publishers(
+        subscription: *const rmw_subscription_t => behind,
+        count: *mut usize => place "the count",
+    ) {
         *count = subscription.matched.get();
         Ok(())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_subscription_get_actual_qos(
-    handle: *const rmw_subscription_t,
-    profile: *mut rmw_qos_profile_t,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let (subscription, profile) = unsafe { (behind(handle)?, place(profile, "the QoS profile")?) };
+    fn rmw_subscription_get_actual_qos(
+        subscription: *const rmw_subscription_t => behind,
+        profile: *mut rmw_qos_profile_t => place "the QoS profile",
+    ) {
         *profile = subscription.qos;
         Ok(())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_take(
-    handle: *const rmw_subscription_t,
-    message: *mut c_void,
-    taken: *mut bool,
-    _allocation: *mut rmw_subscription_allocation_t,
-) -> rmw_ret_t {
-    answer(|| {
+    fn rmw_take(
+        subscription: *const rmw_subscription_t => behind,
+        message: *mut c_void,
+        taken: *mut bool => place "taken",
+        _allocation: *mut rmw_subscription_allocation_t,
+    ) {
         // SAFETY: rmw's contract.
-        let (subscription, taken) = unsafe { (behind(handle)?, place(taken, "taken")?) };
-        // SAFETY: rmw's contract.
-        *taken = unsafe { subscription.take_message(message)? }.is_some();
+        tell(unsafe { subscription.take_message(message)? }, taken, None);
         Ok(())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_take_with_info(
-    handle: *const rmw_subscription_t,
-    message: *mut c_void,
-    taken: *mut bool,
-    info: *mut rmw_message_info_t,
-    _allocation: *mut rmw_subscription_allocation_t,
-) -> rmw_ret_t {
-    answer(|| {
+    fn rmw_take_with_info(
+        subscription: *const rmw_subscription_t => behind,
+        message: *mut c_void,
+        taken: *mut bool => place "taken",
+        info: *mut rmw_message_info_t => place "the information",
+        _allocation: *mut rmw_subscription_allocation_t,
+    ) {
         // SAFETY: rmw's contract.
-        let (subscription, taken, info) =
-            unsafe { (behind(handle)?, place(taken, "taken")?, place(info, "the information")?) };
-        // SAFETY: rmw's contract.
-        let found = unsafe { subscription.take_message(message)? };
-        *taken = found.is_some();
-        if let Some(found) = found {
-            *info = found;
-        }
+        tell(unsafe { subscription.take_message(message)? }, taken, Some(info));
         Ok(())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_take_sequence(
-    handle: *const rmw_subscription_t,
-    count: usize,
-    messages: *mut rmw_message_sequence_t,
-    infos: *mut rmw_message_info_sequence_t,
-    taken: *mut usize,
-    _allocation: *mut rmw_subscription_allocation_t,
-) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract.
-        let (subscription, messages, infos, taken) = unsafe {
-            let subscription = behind(handle)?;
-            let (messages, infos) = (place(messages, "the messages")?, place(infos, "the information")?);
-            (subscription, messages, infos, place(taken, "taken")?)
-        };
+    fn rmw_take_sequence(
+        subscription: *const rmw_subscription_t => behind,
+        count: usize,
+        messages: *mut rmw_message_sequence_t => place "the messages",
+        infos: *mut rmw_message_info_sequence_t => place "the information",
+        taken: *mut usize => place "taken",
+        _allocation: *mut rmw_subscription_allocation_t,
+    ) {
         if count == 0 || count > messages.capacity || count > infos.capacity {
             return Err(Error::invalid(format!(
                 "{count} messages requested, room for {} messages and {} infos: request at least 1, at most the room",
@@ -442,79 +344,36 @@ pub unsafe extern "C" fn rmw_take_sequence(
         }
         (messages.size, infos.size) = (*taken, *taken);
         Ok(())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-unsafe fn take_serialized(
-    handle: *const rmw_subscription_t,
-    message: *mut rmw_serialized_message_t,
-    taken: *mut bool,
-) -> Result<Option<rmw_message_info_t>> {
-    // SAFETY: the caller's contract.
-    let (subscription, message, taken) =
-        unsafe { (behind(handle)?, place(message, "the message")?, place(taken, "taken")?) };
-    let own = subscription.node().participant.id();
-    let read = |sample: RawSample| {
-        // What this participant publishes it has mapped for writing.
-        let is_own = sample.port_gid().participant() == own;
-        // SAFETY: the caller's contract.
-        match if is_own { Err(sample) } else { unsafe { lend(sample, message, &subscription.lent) } } {
-            Ok(()) => Ok(()),
-            Err(sample) => write_serialized(sample.body(), message),
-        }
-    };
-    let found = subscription.take(read)?;
-    *taken = found.is_some();
-    Ok(found.map(|((), info)| info))
-}
-
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_take_serialized_message(
-    handle: *const rmw_subscription_t,
-    message: *mut rmw_serialized_message_t,
-    taken: *mut bool,
-    _allocation: *mut rmw_subscription_allocation_t,
-) -> rmw_ret_t {
-    // SAFETY: rmw's contract.
-    answer(|| unsafe { take_serialized(handle, message, taken) }.map(drop))
-}
-
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_take_serialized_message_with_info(
-    handle: *const rmw_subscription_t,
-    message: *mut rmw_serialized_message_t,
-    taken: *mut bool,
-    info: *mut rmw_message_info_t,
-    _allocation: *mut rmw_subscription_allocation_t,
-) -> rmw_ret_t {
-    answer(|| {
+    fn rmw_take_serialized_message(
+        subscription: *const rmw_subscription_t => behind,
+        message: *mut rmw_serialized_message_t => place "the message",
+        taken: *mut bool => place "taken",
+        _allocation: *mut rmw_subscription_allocation_t,
+    ) {
         // SAFETY: rmw's contract.
-        let info = unsafe { place(info, "the information")? };
-        // SAFETY: rmw's contract.
-        if let Some(found) = unsafe { take_serialized(handle, message, taken)? } {
-            *info = found;
-        }
+        tell(unsafe { subscription.take_serialized(message)? }, taken, None);
         Ok(())
-    })
-}
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_subscription_set_on_new_message_callback(
-    handle: *mut rmw_subscription_t,
-    callback: rmw_event_callback_t,
-    data: *const c_void,
-) -> rmw_ret_t {
-    answer(|| {
+    fn rmw_take_serialized_message_with_info(
+        subscription: *const rmw_subscription_t => behind,
+        message: *mut rmw_serialized_message_t => place "the message",
+        taken: *mut bool => place "taken",
+        info: *mut rmw_message_info_t => place "the information",
+        _allocation: *mut rmw_subscription_allocation_t,
+    ) {
         // SAFETY: rmw's contract.
-        let subscription = unsafe { behind(handle)? };
-        subscription.end.set_on_new(subscription.node().context(), callback.map(|function| (function, data)))
-    })
+        tell(unsafe { subscription.take_serialized(message)? }, taken, Some(info));
+        Ok(())
+    }
+
+    fn rmw_subscription_set_on_new_message_callback(
+        subscription: *mut rmw_subscription_t => behind,
+        callback: rmw_event_callback_t,
+        data: *const c_void,
+    ) {
+        subscription.end.set_on_new(subscription.node.context(), callback, data)
+    }
 }

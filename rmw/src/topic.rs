@@ -3,8 +3,8 @@
 
 use crate::bindings::*;
 use crate::error::{Error, Result};
-use crate::handle::{behind, text};
-use crate::node::{Node, check_full_name};
+use crate::handle::{behind, endpoint_name, given};
+use crate::node::Node;
 use crate::qos::{self, EndpointRole};
 use crate::types::MessageType;
 use std::ffi::c_char;
@@ -29,18 +29,11 @@ impl EndpointArgs<'_> {
         flows: rmw_unique_network_flow_endpoints_requirement_t,
     ) -> Result<Self> {
         // SAFETY: the caller's contract.
-        let (node, message_type, name, profile) = unsafe {
+        let (node, message_type, profile, name) = unsafe {
             let (node, message_type) = (behind(node)?, MessageType::of(support)?);
-            let name = text(topic, "the topic's name")?;
-            (node, message_type, name, profile.as_ref().ok_or_else(|| Error::null("the QoS profile"))?)
+            let profile = given(profile, "the QoS profile")?;
+            (node, message_type, profile, endpoint_name(topic, "the topic's name", profile)?)
         };
-        if name.is_empty() {
-            return Err(Error::invalid("the topic's name is empty"));
-        }
-        if !profile.avoid_ros_namespace_conventions {
-            // SAFETY: the caller's contract.
-            unsafe { check_full_name(topic, "the topic's name")? };
-        }
         if flows == RMW_UNIQUE_NETWORK_FLOW_ENDPOINTS_STRICTLY_REQUIRED {
             return Err(Error::unsupported(
                 "unique network flow endpoints: there is no network flow in shared memory",

@@ -5,10 +5,10 @@ use crate::bindings::*;
 use crate::client::Client;
 use crate::context::Waiters;
 use crate::distro;
-use crate::error::{Error, Result, answer, made};
+use crate::error::{Error, Result, answer};
 use crate::event;
 use crate::guard::GuardCondition;
-use crate::handle::{IDENTIFIER, behind, behind_context, take_back};
+use crate::handle::{IDENTIFIER, behind, exported, take_back};
 use crate::job::{self, Jobs};
 use crate::service::Service;
 use crate::signal::{Signal, Waiter};
@@ -223,7 +223,9 @@ impl WaitEntities<'_> {
         thread::govern(jobs.filter_map(|jobs| jobs.thread.as_ref()))?;
         if has_new {
             let now_ns = monotonic_ns();
-            self.jobs().for_each(|jobs| jobs.wait_for(now_ns));
+            self.subscriptions().for_each(|subscription| subscription.end().wait_for(now_ns));
+            self.services().for_each(|service| service.end().wait_for(now_ns));
+            self.clients().for_each(|client| client.end().wait_for(now_ns));
         }
         Ok(())
     }
@@ -275,40 +277,32 @@ impl Drop for Attached<'_> {
     }
 }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_create_wait_set(
-    context: *mut rmw_context_t,
-    _max_conditions: usize,
-) -> *mut rmw_wait_set_t {
-    made(|| {
-        // SAFETY: rmw's contract; rmw's memory, written before anyone can see it.
+exported! {
+    fn rmw_create_wait_set(
+        context: *mut rmw_context_t => behind_context,
+        _max_conditions: usize,
+    ) -> *mut rmw_wait_set_t {
+        // SAFETY: no conditions.
+        let handle = unsafe { rmw_wait_set_allocate() };
+        if handle.is_null() {
+            return Err(Error::new(RET_BAD_ALLOC, "no memory for a wait set"));
+        }
+        let waiter = context.waiters.claim(&context.participant);
+        let (waiters, waits) = (context.waiters.clone(), context.waits.clone());
+        let (is_measured, in_use) = (context.system.measures_execution(), AtomicBool::new(false));
+        let wait_set = WaitSet { waiters, waiter, waits, is_measured, in_use };
+        // SAFETY: rmw's memory, written before anyone can see it.
         unsafe {
-            let context = behind_context(context)?;
-            let handle = rmw_wait_set_allocate();
-            if handle.is_null() {
-                return Err(Error::new(RET_BAD_ALLOC, "no memory for a wait set"));
-            }
-            let waiter = context.waiters.claim(&context.participant);
-            let (waiters, waits) = (context.waiters.clone(), context.waits.clone());
-            let (is_measured, in_use) = (context.system.measures_execution(), AtomicBool::new(false));
-            let wait_set = WaitSet { waiters, waiter, waits, is_measured, in_use };
             handle.write(rmw_wait_set_t {
                 implementation_identifier: IDENTIFIER.as_ptr(),
                 guard_conditions: std::ptr::null_mut(),
                 data: Box::into_raw(Box::new(wait_set)).cast(),
             });
-            Ok(handle)
         }
-    })
-}
+        Ok(handle)
+    }
 
-/// # Safety
-/// As documented by rmw.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn rmw_destroy_wait_set(handle: *mut rmw_wait_set_t) -> rmw_ret_t {
-    answer(|| {
+    fn rmw_destroy_wait_set(handle: *mut rmw_wait_set_t) {
         if handle.is_null() {
             return Err(distro::null_argument("the wait set"));
         }
@@ -320,7 +314,7 @@ pub unsafe extern "C" fn rmw_destroy_wait_set(handle: *mut rmw_wait_set_t) -> rm
             rmw_wait_set_free(handle);
         }
         Ok(())
-    })
+    }
 }
 
 /// # Safety

@@ -125,6 +125,61 @@ fn callbacks_of_rclpy_are_reported_and_traced() {
     assert_eq!(of(",/heard,").iter().filter(|kind| **kind == "take").count(), 5, "{events}");
 }
 
+/// Three messages are there before the first wait, and of two topics one each; the executor spins after two more have come.
+const EARLY: &str = r#"
+import rclpy, sys
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from std_msgs.msg import String
+rclpy.init()
+node, source, heard = rclpy.create_node("listener"), rclpy.create_node("source"), []
+def hear(message): heard.append(message.data)
+subscriptions = [node.create_subscription(String, topic, hear, 1) for topic in ("/short", "/early")]
+short, early = [source.create_publisher(String, topic, 10) for topic in ("/short", "/early")]
+while any(publisher.get_subscription_count() < 1 for publisher in (short, early)): pass
+early.publish(String(data="early"))
+for text in ("one", "two", "three"): short.publish(String(data=text))
+context = rclpy.get_default_context()
+with context.handle, subscriptions[0].handle, subscriptions[1].handle:
+    waits = rclpy_implementation.WaitSet(2, 0, 0, 0, 0, 0, context.handle)
+    waits.clear_entities()
+    for subscription in subscriptions: waits.add_subscription(subscription.handle)
+    waits.wait(0)
+for text in ("four", "five"): short.publish(String(data=text))
+executor = SingleThreadedExecutor()
+executor.add_node(node)
+while len(heard) < 2: executor.spin_once()
+executor.spin_once(timeout_sec=0)
+print(sorted(heard), flush=True)
+sys.stdin.read()
+"#;
+
+/// What was published before anyone waited is neither a job nor, where it was overwritten since, lost; its processor time is known.
+#[test]
+fn what_came_before_the_first_wait_is_not_counted() {
+    let Some(domain) = seen(114) else { return };
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let callback = |name: &str| {
+        format!(
+            "[callbacks.{name}]\ntopic = \"/{name}\"\nwcet = \"1ms\"\n[topics.\"/{name}\"]\nperiod = \"1s\"\n"
+        )
+    };
+    let head = "[hosts.here]\ncores = 1\n[nodes.listener]\nclient = \"rclpy\"\n";
+    std::fs::write(file.path(), [head, &callback("short"), &callback("early")].concat()).unwrap();
+    let mut command = domain.python(EARLY);
+    let (process, heard) = started(command.env("TAUT_SYSTEM", file.path()).env("TAUT_REALTIME", "off"));
+    assert_eq!(heard.trim(), "['early', 'five']");
+    let report = report(&domain);
+    end(process);
+    let of = |name: &str| {
+        let rows = report["callbacks"].as_array().unwrap();
+        let seen = &rows.iter().find(|row| row["name"] == name).unwrap()["measured"];
+        let used_ms = seen["execution_ms"]["max"].as_f64().unwrap_or(0.0);
+        (seen["jobs"].as_u64().unwrap(), seen["lost"].as_u64().unwrap(), used_ms > 0.0)
+    };
+    assert_eq!([of("short"), of("early")], [(1, 1, true), (0, 0, true)], "of short, four was lost: {report}");
+}
+
 /// Five topics, three messages each, all there before an unchanged executor of rclpy begins.
 const QUEUED: &str = r#"
 import rclpy
