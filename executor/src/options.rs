@@ -253,7 +253,7 @@ impl CallbackOptions {
     /// Messages of subscriptions and requests wake the thread in this way; timers, responses and everything else still wake it
     /// through the sampler, and so does a message for several threads of this process, which the sampler lets run in the order of their
     /// priorities. So bounds that were computed with a sampler still hold. The cost: a publisher that sends to several topics at once
-    /// makes a futex wake for each such thread that sleeps. [Wake-ups](https://github.com/tautline/tautline/blob/main/docs/wake-ups.md) compares the ways.
+    /// makes a futex wake for each such thread that sleeps. docs/wake-ups.md compares the ways.
     ///
     /// Off by default. With a system file it is on for the threads for which the file says so, and for those where no bound gets worse.
     /// For a busy-polling thread, which never sleeps, this has no effect. A callback that blocks in its own executor (`block_on`) would

@@ -68,7 +68,7 @@ fn write_wake_ups(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<(
         match groups.iter_mut().find(|(wake_up, _)| *wake_up == entry.wake_up) {
             Some((_, threads)) if threads.contains(&entry.thread.as_str()) => {}
             Some((_, threads)) => threads.push(&entry.thread),
-            None => groups.push((entry.wake_up, vec![&entry.thread])),
+            None => groups.push((entry.wake_up, vec![entry.thread.as_str()])),
         }
     }
     if groups.iter().all(|(wake_up, _)| *wake_up != WakeUp::Publisher) {
