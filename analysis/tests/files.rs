@@ -119,10 +119,10 @@ fn as_many_threads_are_woken_by_publishers_as_have_bells() {
 fn a_wake_up_is_stated_of_a_thread() {
     let grouped = with("wcet = \"3ms\"", "wcet = \"3ms\"\ngroup = \"both\"\ndirect_wake = true");
     let expected = "callback `plan` shares its thread: say `direct_wake` in [groups]";
-    expect(&format!("{grouped}[groups.both]"), &[(19, expected)]);
+    expect(&format!("{grouped}[groups.both]"), &[(20, expected)]);
     expect(
         &with("wcet = \"3ms\"", "wcet = \"3ms\"\ndirect_wake = 1"),
-        &[(18, "`direct_wake` must be true or false")],
+        &[(19, "`direct_wake` must be true or false")],
     );
 }
 

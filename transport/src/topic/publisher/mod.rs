@@ -354,7 +354,7 @@ mod tests {
             subscription.wake_thread(Some(&bell));
             (subscription, bell)
         };
-        let (one, other) = (direct(), direct());
+        let (_one, other) = (direct(), direct());
         let seat = doorbell.claim_sampler().unwrap();
         let woken = || {
             let arena = doorbell.arena();
