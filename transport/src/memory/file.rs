@@ -32,8 +32,6 @@ pub(crate) const PREFIX: &str = "p";
 const STAND_IN: &str = "r";
 /// Where the arena lies, whatever a page is: the head is shorter, and this a multiple of the arena's alignment.
 const ARENA_AT: usize = 4096;
-/// Lengths of files are multiples of this.
-const GROWN_BYTES: u64 = 1 << 20;
 /// Where files end at the latest: more than memory will be.
 const END: u64 = 1 << 46;
 
@@ -212,13 +210,11 @@ impl OwnMemory {
         let range = self.ranges().take(len).ok_or_else(none)?;
         let mut file_len = self.len.lock();
         if range.end() > *file_len {
-            // For some more parts at once: length takes no memory.
-            let len = range.end().next_multiple_of(GROWN_BYTES);
-            if let Err(error) = self.file.set_len(len) {
+            if let Err(error) = self.file.set_len(range.end()) {
                 self.ranges().give_back(range);
                 return Err(error.source);
             }
-            *file_len = len;
+            *file_len = range.end();
         }
         Ok(range)
     }
