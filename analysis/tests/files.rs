@@ -6,7 +6,7 @@ use std::time::Instant;
 use rand::RngExt;
 use tautline_analysis::Reservation;
 use tautline_analysis::file::{
-    CheckedCallback, CheckedSystem, JoinPolicy, LinkPriority, OverrunPolicy, SystemFile,
+    CheckedCallback, CheckedSystem, JoinPolicy, LinkPriority, OverrunPolicy, SystemFile, WakeUp,
 };
 
 /// A system without problems, to which the tests add some.
@@ -67,6 +67,63 @@ fn expect(text: &str, expected: &[(usize, &str)]) {
             .zip(expected)
             .all(|(f, (line, part))| f.starts_with(&format!("{line}:")) && f.contains(part));
     assert!(matches, "expected {expected:#?}, found {found:#?}");
+}
+
+/// Who wakes each callback's thread.
+fn wake_ups(text: &str) -> Vec<WakeUp> {
+    let file = SystemFile::parse(text).unwrap_or_else(|problems| panic!("{problems}"));
+    file.callbacks().iter().map(|callback| callback.wake_up).collect()
+}
+
+#[test]
+fn publishers_wake_what_only_topics_trigger() {
+    let timer = WakeUp::Sampler("its thread has a timer");
+    assert_eq!(wake_ups(GOOD), [timer, WakeUp::Publisher, WakeUp::Publisher]);
+    // Whatever is stated counts; of a group for all.
+    let said = WakeUp::Sampler("the file says so");
+    let stated = with("wcet = \"2ms\"", "wcet = \"2ms\"\ndirect_wake = true");
+    let stated = stated.replacen("wcet = \"3ms\"", "wcet = \"3ms\"\ndirect_wake = false", 1);
+    assert_eq!(wake_ups(&stated), [WakeUp::Publisher, said, WakeUp::Publisher]);
+    let grouped = |group: &str| {
+        let text = GOOD.replace("node = \"control\"\n", "node = \"control\"\ngroup = \"both\"\n");
+        wake_ups(&format!("{text}[groups.both]\n{group}"))
+    };
+    assert_eq!(grouped(""), [timer, WakeUp::Publisher, WakeUp::Publisher]);
+    assert_eq!(grouped("direct_wake = false"), [timer, said, said]);
+    // A timer of the thread is one of all its callbacks.
+    let text = GOOD.replace("topic = [\"/path\", \"/joy\"]", "period = \"20ms\"");
+    let text = text.replace("node = \"control\"\n", "node = \"control\"\ngroup = \"both\"\n");
+    let text = text.replace("\"scan\", \"plan\", \"drive\"", "\"scan\", \"plan\"");
+    assert_eq!(wake_ups(&format!("{text}[groups.both]")), [timer, timer, timer]);
+    let ros = with("[nodes.control]", "[nodes.control]\nclient = \"rclcpp\"");
+    assert_eq!(wake_ups(&ros)[1], WakeUp::Sampler("an executor of ROS 2 runs it"));
+}
+
+#[test]
+fn as_many_threads_are_woken_by_publishers_as_have_bells() {
+    let many = |topics: usize, callbacks: usize| {
+        let mut text = String::from("[hosts.robot]\ncores = 1\n[nodes.control]\n[topics]\n");
+        (0..topics).for_each(|i| writeln!(text, "t{i} = {{ period = \"10s\" }}").unwrap());
+        let names: Vec<_> = (0..topics).map(|i| format!("\"t{i}\"")).collect();
+        for i in 0..callbacks {
+            let names = names.join(", ");
+            writeln!(text, "[callbacks.c{i}]\ntopic = [{names}]\nwcet = \"1us\"\npriority = 10").unwrap();
+            writeln!(text, "shares_priority = true").unwrap();
+        }
+        wake_ups(&text).into_iter().filter(|wake_up| *wake_up == WakeUp::Publisher).count()
+    };
+    assert_eq!([many(63, 1), many(64, 1), many(1, 128), many(1, 130)], [1, 0, 128, 128]);
+}
+
+#[test]
+fn a_wake_up_is_stated_of_a_thread() {
+    let grouped = with("wcet = \"3ms\"", "wcet = \"3ms\"\ngroup = \"both\"\ndirect_wake = true");
+    let expected = "callback `plan` shares its thread: say `direct_wake` in [groups]";
+    expect(&format!("{grouped}[groups.both]"), &[(20, expected)]);
+    expect(
+        &with("wcet = \"3ms\"", "wcet = \"3ms\"\ndirect_wake = 1"),
+        &[(19, "`direct_wake` must be true or false")],
+    );
 }
 
 #[test]

@@ -40,6 +40,7 @@ fn the_table_and_the_exit_code_are_the_verdict() {
         "174.040",
         "25.960",
         "cb:topic5",
+        "Wake-ups: publishers wake cb:topic1, cb:topic2, cb:topic3, cb:topic4, cb:topic5.\n",
         "Schedulable: every deadline is met (5 callbacks, 0 chains).",
     ] {
         assert!(out.contains(part), "{part} in {out}");
@@ -73,8 +74,15 @@ fn json_is_the_contract() {
     assert_eq!(json["schedulable"], true);
     assert_eq!(
         keys(&json["callbacks"][0]),
-        "capacity core deadline_ms name period_ms priority response_ms response_overhead_ms wcet_ms"
+        "capacity core deadline_ms name period_ms priority response_ms response_overhead_ms wake_up wcet_ms"
     );
+    let wake_ups = ["sampler", "publisher"].map(|by| {
+        let callbacks = json["callbacks"].as_array().unwrap().iter();
+        callbacks.filter(|callback| callback["wake_up"]["by"] == by).count()
+    });
+    assert!(wake_ups.iter().all(|count| *count > 0), "{json}");
+    let lidar = &json["callbacks"][0]["wake_up"];
+    assert_eq!(*lidar, serde_json::json!({ "by": "sampler", "because": "its thread has a timer" }));
     assert_eq!(keys(&json["chains"][0]), "deadline_ms latency_ms name");
     assert_eq!((&json["callbacks"][0]["name"], &json["callbacks"][0]["core"]), (&"lidar".into(), &2.into()));
     assert!(json["chains"][0]["latency_ms"].as_f64().unwrap() < 40.0);

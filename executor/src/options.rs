@@ -250,11 +250,14 @@ impl CallbackOptions {
     /// Lets publishers wake the thread directly, without the sampler: a message reaches its callback one thread switch
     /// earlier, and costs less CPU time.
     ///
-    /// The cost: a publisher makes one futex wake for each such thread that sleeps, whereas one futex wake of the sampler serves all
-    /// other threads of the process. Bounds that were computed with a sampler still hold, because the sampler only has less work.
     /// Messages of subscriptions and requests wake the thread in this way; timers, responses and everything else still wake it
-    /// through the sampler. For a busy-polling thread, which never sleeps, this has no effect. A callback that blocks in its own
-    /// executor (`block_on`) would not be woken there.
+    /// through the sampler, and so does a message for several threads of this process, which the sampler lets run in the order of their
+    /// priorities. So bounds that were computed with a sampler still hold. The cost: a publisher that sends to several topics at once
+    /// makes a futex wake for each such thread that sleeps. docs/wake-ups.md compares the ways.
+    ///
+    /// Off by default. With a system file it is on for the threads for which the file says so, and for those where no bound gets worse.
+    /// For a busy-polling thread, which never sleeps, this has no effect. A callback that blocks in its own executor (`block_on`) would
+    /// not be woken there.
     pub const fn direct_wake(mut self) -> CallbackOptions {
         self.direct_wake = true;
         self

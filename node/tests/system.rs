@@ -73,6 +73,20 @@ fn a_callback_gets_what_the_file_says() {
 }
 
 #[test]
+fn publishers_wake_the_threads_that_need_no_sampler() {
+    let direct = |name: &str, text: &str| {
+        let file = File::new(name, text);
+        let ctx = context(&file).unwrap();
+        ["fast", "slow", "stated"].map(|name| ctx.callback(name).unwrap().direct_wake)
+    };
+    assert_eq!(direct("direct", SYSTEM), [true; 3]);
+    let timer = SYSTEM.replace("topic = \"odom\"", "period = \"20ms\"");
+    let stated = timer.replace("priority = 20\n", "priority = 20\ndirect_wake = false\n");
+    assert_eq!(direct("direct-timer", &timer), [true, true, false]);
+    assert_eq!(direct("direct-stated", &stated), [true, false, false]);
+}
+
+#[test]
 fn a_reservation_is_bound_where_the_file_says() {
     let reserved = |core: &str| {
         let text = SYSTEM.replace(

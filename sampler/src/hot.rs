@@ -125,7 +125,9 @@ impl Sampler {
     pub fn spin_told(&mut self, mut sleep: impl FnMut(Sleep)) {
         tautline_trace::register_thread_as("sampler");
         while !self.events.is_stopped() {
-            if self.serve() == 0 {
+            self.serve();
+            // Nothing else, such as another look at the timers: the threads that were woken on this core wait for the sleep.
+            if !self.events.state.doorbell.is_pending() {
                 self.wait_until(None, &mut sleep);
             }
         }

@@ -5,7 +5,7 @@ use crate::error::{Result, SystemError};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tautline_analysis::Reservation;
-use tautline_analysis::file::{self, CheckedCallback, CheckedSystem, SystemFile};
+use tautline_analysis::file::{self, CheckedCallback, CheckedSystem, SystemFile, WakeUp};
 use tautline_executor::{CallbackOptions, OverrunPolicy, Policy, ProcessInfo};
 
 /// A system file, checked, as one host sees it.
@@ -147,6 +147,7 @@ impl LoadedSystem {
                 () if (&was.node, was.client) != (&is.node, is.client) => "node",
                 () if (old.core, was.floats) != (new.core, is.floats) => "core",
                 () if (&was.group, &was.thread) != (&is.group, &is.thread) => "thread",
+                () if (was.wake_up == WakeUp::Publisher) != (is.wake_up == WakeUp::Publisher) => "wake-up",
                 () if was.reservation.is_some() != is.reservation.is_some() => "kind of scheduling",
                 () if was.overrun != is.overrun => "`overrun`",
                 () if (&was.topics, was.joins, was.window_ns) != (&is.topics, is.joins, is.window_ns) => {
@@ -215,6 +216,7 @@ fn thread_of(callback: &CheckedCallback) -> CallbackOptions {
         }
         None => CallbackOptions::fifo(callback.entry.priority),
     };
-    let options = options.thread_name(thread);
+    let mut options = options.thread_name(thread);
+    options.direct_wake = callback.entry.wake_up == WakeUp::Publisher;
     if callback.entry.floats { options } else { options.core(callback.core) }
 }

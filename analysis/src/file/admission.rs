@@ -6,7 +6,7 @@ use std::fmt;
 use std::time::Duration;
 
 use super::{
-    CallbackEntry, CheckedSystem, Client, CoreEntry, JoinPolicy, OverrunPolicy, SystemFile, locks,
+    CallbackEntry, CheckedSystem, Client, CoreEntry, JoinPolicy, OverrunPolicy, SystemFile, WakeUp, locks,
     reservations,
 };
 use crate::system::{Callback, Core, Relay};
@@ -337,6 +337,7 @@ impl Union {
                 group: None,
                 core,
                 priority,
+                wake_up: WakeUp::Sampler("it is in no file"),
                 rank: None,
                 reservation: thread.reservation,
                 floats: thread.reservation.is_some() && thread.core.is_none(),

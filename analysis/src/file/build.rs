@@ -15,6 +15,7 @@ use super::reservations;
 use super::sections;
 use super::streams::{First, Source, Streams};
 use super::version;
+use super::wake::{self, WakeUp};
 use super::{CallbackEntry, Client, CoreEntry, JoinPolicy, OverrunPolicy, SystemFile, TopicEntry};
 use crate::system::{Callback, Chain, Core, Matching, Part, Relay, System, Transfer};
 use crate::{Hold, Order, Overheads, Release, Task, Throttling};
@@ -47,7 +48,9 @@ pub(super) fn build(text: &str) -> Result<SystemFile, Problems> {
     for (t, thread) in threads.iter().enumerate() {
         thread.callbacks.iter().for_each(|i| owner[*i] = t);
     }
-    let built = Builder { file: &file, graph: &graph, cores, places, streams, threads, owner }.build();
+    let wake_ups = wake::choose(&file, &places, &threads);
+    let built =
+        Builder { file: &file, graph: &graph, cores, places, streams, threads, owner, wake_ups }.build();
     built.map_err(|message| {
         problems.at(0).add(message);
         problems.take()
@@ -63,6 +66,8 @@ struct Builder<'f> {
     threads: Vec<Thread>,
     /// The thread of each callback.
     owner: Vec<usize>,
+    /// Of each thread.
+    wake_ups: Vec<WakeUp>,
 }
 
 impl Builder<'_> {
@@ -419,6 +424,7 @@ impl Builder<'_> {
             group: self.threads[thread].group.map(|group| self.file.groups[group].name.clone()),
             core: self.places[index].core,
             priority: self.threads[thread].priority.unwrap_or(1),
+            wake_up: self.wake_ups[thread],
             rank: self.rank(index, thread),
             topics: declared.topics.iter().map(|topic| topic.value.clone()).collect(),
             publishes: declared.publishes.iter().map(|topic| topic.value.clone()).collect(),

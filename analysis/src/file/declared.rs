@@ -58,6 +58,8 @@ pub(super) struct Group {
     pub at: usize,
     pub order: Option<At<Order>>,
     pub priority: Option<At<u8>>,
+    /// Whether publishers wake its thread, if that is stated.
+    pub direct_wake: Option<bool>,
 }
 
 impl Group {
@@ -92,6 +94,8 @@ pub(super) struct Callback {
     pub non_preemptive: Option<At<u64>>,
     pub priority: Option<At<u8>>,
     pub shares_priority: bool,
+    /// Whether publishers wake its thread, if that is stated.
+    pub direct_wake: Option<At<bool>>,
     /// Under SCHED_DEADLINE.
     pub reservation: Option<At<Reservation>>,
     pub core: Option<At<i64>>,

@@ -24,9 +24,11 @@ mod reservations;
 mod sections;
 mod streams;
 pub mod version;
+mod wake;
 
 pub use check::{CheckedCallback, CheckedChain, CheckedCore, CheckedJoin, CheckedSystem};
 pub use problem::{Problem, Problems};
+pub use wake::WakeUp;
 
 /// A system file without problems: the threads, cores and priorities of all callbacks are known.
 ///
@@ -78,6 +80,8 @@ pub struct CallbackEntry {
     pub core: usize,
     /// SCHED_FIFO priority of the thread, 1 to 99, or [`Reservation::PRIORITY`].
     pub priority: u8,
+    /// Who wakes its thread.
+    pub wake_up: WakeUp,
     /// Its rank in a group with `order = "priority"`: the highest of the waiting callbacks runs next.
     pub rank: Option<u8>,
     /// What the kernel reserves for the thread, if it runs under SCHED_DEADLINE.

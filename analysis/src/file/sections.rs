@@ -212,9 +212,9 @@ fn group(name: String, mut section: Section<'_>) -> Group {
     let orders = [("fifo", Order::Fifo), ("any", Order::Any), ("priority", Order::Priority)];
     let order = section.choice("order", &orders);
     let priority = priority(&mut section, "priority");
-    let at = section.at;
+    let (direct_wake, at) = (section.optional_flag("direct_wake"), section.at);
     section.finish();
-    Group { name, at, order, priority }
+    Group { name, at, order, priority, direct_wake }
 }
 
 fn callback(name: String, mut section: Section<'_>) -> Callback {
@@ -251,6 +251,7 @@ fn callback(name: String, mut section: Section<'_>) -> Callback {
     let policy = section.choice("policy", &policies);
     let is_any = |value: &&DeValue<'_>| value.as_str() == Some("any");
     let floats = section.raw("core").filter(is_any).and_then(|_| section.at("core"));
+    let direct_wake = direct_wake(&mut section);
     let callback = Callback {
         reservation: reservation(&mut section),
         overrun,
@@ -272,6 +273,7 @@ fn callback(name: String, mut section: Section<'_>) -> Callback {
         non_preemptive: section.time("non_preemptive"),
         priority: priority(&mut section, "priority"),
         shares_priority: section.flag("shares_priority"),
+        direct_wake,
         core: if floats.is_none() { section.integer("core") } else { None },
         floats,
         group: section.text("group"),
@@ -283,6 +285,18 @@ fn callback(name: String, mut section: Section<'_>) -> Callback {
     };
     section.finish();
     callback
+}
+
+fn direct_wake(section: &mut Section<'_>) -> Option<At<bool>> {
+    let at = section.at("direct_wake")?;
+    let value = section.optional_flag("direct_wake")?;
+    if section.has("group") {
+        section.problem(at).add(format!(
+            "{} shares its thread: say `direct_wake` in [groups], of all of them",
+            section.title
+        ));
+    }
+    Some(At { value, at })
 }
 
 fn input_max(section: &mut Section<'_>) -> Option<u64> {

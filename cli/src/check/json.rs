@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use serde::Serialize;
-use tautline_analysis::file::{CheckedSystem, JoinPolicy};
+use tautline_analysis::file::{self, CheckedSystem, JoinPolicy};
 
 use super::admit;
 use super::sensitivity::Growth;
@@ -28,6 +28,7 @@ struct Callback<'a> {
     name: &'a str,
     core: usize,
     priority: u8,
+    wake_up: WakeUp,
     #[serde(skip_serializing_if = "Option::is_none")]
     reservation: Option<Reservation>,
     period_ms: f64,
@@ -43,6 +44,23 @@ struct Callback<'a> {
     capacity_without_stall: Option<usize>,
     #[serde(skip_serializing_if = "Option::is_none")]
     join: Option<Join<'a>>,
+}
+
+/// Who wakes the thread, and why the sampler does.
+#[derive(Serialize)]
+struct WakeUp {
+    by: &'static str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    because: Option<&'static str>,
+}
+
+impl WakeUp {
+    fn of(wake_up: file::WakeUp) -> Self {
+        match wake_up {
+            file::WakeUp::Publisher => WakeUp { by: "publisher", because: None },
+            file::WakeUp::Sampler(because) => WakeUp { by: "sampler", because: Some(because) },
+        }
+    }
 }
 
 #[derive(Serialize)]
@@ -95,6 +113,7 @@ pub fn write(
         name: &callback.entry.name,
         core: callback.core,
         priority: callback.entry.priority,
+        wake_up: WakeUp::of(callback.entry.wake_up),
         reservation: callback.entry.reservation.map(|of| Reservation {
             runtime_ms: ms(of.runtime_ns),
             period_ms: ms(of.period_ns),

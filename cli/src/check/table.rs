@@ -2,7 +2,7 @@
 //! The verdict as a table for people: callbacks, chains, cores, warnings.
 use std::io::{self, Write};
 
-use tautline_analysis::file::{CheckedCallback, CheckedSystem, JoinPolicy};
+use tautline_analysis::file::{CheckedCallback, CheckedSystem, JoinPolicy, WakeUp};
 
 use crate::table::{BAD, GOOD, WARNING, ms, priority, write_table};
 
@@ -61,6 +61,28 @@ fn write_inputs(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()>
     writeln!(out, "wcet holds of {}.", stated.join(", "))
 }
 
+/// Writes which threads publishers wake, and why not the others: those of a reason together.
+fn write_wake_ups(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
+    let mut groups: Vec<(WakeUp, Vec<&str>)> = Vec::new();
+    for CheckedCallback { entry, .. } in &checked.callbacks {
+        match groups.iter_mut().find(|(wake_up, _)| *wake_up == entry.wake_up) {
+            Some((_, threads)) if threads.contains(&entry.thread.as_str()) => {}
+            Some((_, threads)) => threads.push(&entry.thread),
+            None => groups.push((entry.wake_up, vec![entry.thread.as_str()])),
+        }
+    }
+    if groups.iter().all(|(wake_up, _)| *wake_up != WakeUp::Publisher) {
+        return Ok(());
+    }
+    let group = |(wake_up, threads): (WakeUp, Vec<&str>)| match wake_up {
+        WakeUp::Publisher => format!("publishers wake {}", threads.join(", ")),
+        WakeUp::Sampler(because) => format!("the sampler wakes {} ({because})", threads.join(", ")),
+    };
+    groups.sort_by_key(|(wake_up, _)| *wake_up != WakeUp::Publisher);
+    let groups: Vec<_> = groups.into_iter().map(group).collect();
+    writeln!(out, "Wake-ups: {}.", groups.join("; "))
+}
+
 /// Writes the whole verdict; failed lines are red.
 pub fn write(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
     let several = checked.cores.iter().any(|core| core.host != checked.cores[0].host);
@@ -100,6 +122,7 @@ pub fn write(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
     write_table(&head, 3, rows.collect(), out)?;
     write_stalls(checked, out)?;
     write_inputs(checked, out)?;
+    write_wake_ups(checked, out)?;
     if !checked.chains.is_empty() {
         writeln!(out)?;
         let rows = checked.chains.iter().map(|chain| {

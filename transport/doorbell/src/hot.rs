@@ -104,9 +104,9 @@ impl<const WORDS: usize> Bell<WORDS> {
         if woken.0.load(Ordering::Acquire) == sleep {
             return;
         }
-        let was_asleep = self.wake();
-        // Else it was awake, or had begun another sleep.
-        if was_asleep && Woken::key(bell, self.sleeps.load(Ordering::Relaxed)) == sleep {
+        // Asleep in that one, or in a later one: then that one is over, too. The count is not read again: the sampler, which runs by
+        // now, writes on its line.
+        if self.wake() {
             woken.0.store(sleep, Ordering::Release);
         }
     }

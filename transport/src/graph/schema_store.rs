@@ -9,11 +9,13 @@ use crate::graph::topic_type::TopicType;
 use crate::names::is_hash;
 use rustix::fs::{self, AtFlags, Mode, OFlags};
 use rustix::io::Errno;
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, Read, Write};
 use std::os::fd::{AsFd, AsRawFd, OwnedFd};
 use std::path::{Path, PathBuf};
-use std::sync::Once;
+use std::sync::{Mutex, Once, PoisonError};
+use tautline_rt::clock::monotonic_ns;
 
 /// The longest definition that is stored or read. Definitions of ROS 2's own packages are below 20 KB.
 pub const MAX_SCHEMA_BYTES: usize = 1 << 20;
@@ -148,13 +150,23 @@ impl SchemaStore {
     }
 }
 
+/// For so long the definition is not looked for again: many topics of one type may be opened in a row.
+const KEPT_NS: u64 = 1_000_000_000;
+
 /// Keeps the definition of a topic's type if its opener knows hash and definition. What goes wrong is said once and stops
 /// nobody: only tools that lack the definition miss it.
 pub(crate) fn keep(topic_type: &TopicType) {
     static SAID: Once = Once::new();
+    static KEPT: Mutex<BTreeMap<PathBuf, u64>> = Mutex::new(BTreeMap::new());
     let (Some(hash), Some(definition)) = (&topic_type.hash, &topic_type.definition) else { return };
     let store = SchemaStore::of_user();
-    if let Err(error) = store.keep(hash, definition) {
+    let (path, now_ns) = (store.path().join(&**hash), monotonic_ns());
+    let mut kept = KEPT.lock().unwrap_or_else(PoisonError::into_inner);
+    if kept.get(&path).is_some_and(|kept_ns| now_ns.saturating_sub(*kept_ns) < KEPT_NS) {
+        return;
+    }
+    let result = store.keep(hash, definition);
+    if let Err(error) = result.inspect(|()| _ = kept.insert(path, now_ns)) {
         SAID.call_once(|| {
             tracing::warn!(
                 "the definition of '{}' cannot be kept in {}: {error}; topics work, but tools that do not know the type \

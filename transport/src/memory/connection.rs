@@ -16,8 +16,8 @@ use iceoryx2_bb_lock_free::spsc::index_queue::RelocatableIndexQueue;
 use iceoryx2_bb_lock_free::spsc::safely_overflowing_index_queue::RelocatableSafelyOverflowingIndexQueue;
 use std::io;
 use std::ptr::NonNull;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use tautline_rt::full_fence;
 use tautline_rt::shm::Mapping;
 
@@ -215,11 +215,12 @@ impl Connection {
         // would be most of the memory. So the queues are made in a place of this process's own where their memory has the same
         // distance, and only they themselves are copied: nobody reads a place of a queue that nothing was written to.
         let distance = queues_at as isize - block_at as isize;
-        let template = Template::new(distance, shape)?;
         // SAFETY: as the caller promises.
         let block = unsafe { map.start().byte_add(block_at).cast::<Block>() };
-        // SAFETY: a Block is plain memory without a Drop, and nobody else uses the place.
-        unsafe { std::ptr::copy_nonoverlapping(template.block().as_ptr(), block.as_ptr(), 1) };
+        Template::with(distance, shape, |template| {
+            // SAFETY: a Block is plain memory without a Drop, and nobody else uses the place.
+            unsafe { std::ptr::copy_nonoverlapping(template.block().as_ptr(), block.as_ptr(), 1) };
+        })?;
         let connection = Connection { block, map: map.clone() };
         let [low, high] = subscription.words();
         connection.block().subscription[0].store(low, Ordering::Relaxed);
@@ -346,7 +347,27 @@ struct Template {
     block_at: usize,
 }
 
+/// Made last, if it is not longer than this: many publishers in a row have queues of one shape.
+static LAST: Mutex<Option<(isize, Shape, Template)>> = Mutex::new(None);
+const KEPT_BYTES: usize = 64 << 10;
+
 impl Template {
+    /// Gives `copy` the queues of a shape whose memory begins so far behind the block.
+    fn with(distance: isize, shape: Shape, copy: impl FnOnce(&Template)) -> io::Result<()> {
+        let mut last = LAST.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, _, known)) = last.as_ref().filter(|(of, as_is, _)| (*of, *as_is) == (distance, shape))
+        {
+            copy(known);
+            return Ok(());
+        }
+        let template = Template::new(distance, shape)?;
+        copy(&template);
+        if template.memory.len_bytes() <= KEPT_BYTES {
+            *last = Some((distance, shape, template));
+        }
+        Ok(())
+    }
+
     fn new(distance: isize, shape: Shape) -> io::Result<Self> {
         // The queues' memory may lie before the block.
         let (block_at, queues_at) =

@@ -268,8 +268,13 @@ impl PublisherControl {
     ) -> io::Result<(Connection, ConnectionPlace)> {
         // Both in one part: the queues refer to their memory by its distance.
         let (block, queues) = self.find_room(|control, part| {
-            let block = control.take(part, BLOCK_BYTES as u64)?;
-            let queues = control.take_last(part, shape.queues_bytes() as u64);
+            let (block, queues_bytes) =
+                (control.take(part, BLOCK_BYTES as u64)?, shape.queues_bytes() as u64);
+            // What is written at once shares pages.
+            let queues = match samples {
+                usize::MAX => control.take(part, queues_bytes),
+                _ => control.take_last(part, queues_bytes),
+            };
             if queues.is_none() {
                 control.give_back(block);
             }

@@ -81,6 +81,8 @@ struct Work {
     subscriptions: BTreeMap<u64, Arc<SubscriptionCore>>,
     /// Participants whose janitors must be called.
     calls: BTreeSet<u64>,
+    /// Publishers of other participants that own subscriptions expect since this began.
+    asked: Vec<(Arc<SubscriptionCore>, Gid)>,
     /// Publishers that subscriptions of this participant no longer use.
     closed: BTreeSet<Gid>,
     /// Own publishers of which nothing remains.
@@ -433,7 +435,7 @@ impl MatcherState {
         let Some(source) = self.peer_publishers.get(&peer, gid, port.at)? else { return Ok(()) };
         work.subscription(core);
         if core.expect(DiscoveredPublisher::new(gid, port, source)) {
-            work.calls.insert(gid.participant());
+            work.asked.push((core.clone(), gid));
         }
         Ok(())
     }
@@ -588,6 +590,9 @@ impl MatcherState {
 
     /// Hands over what has changed to the threads that publish and take, and gives back what nobody uses any more.
     fn settle(&mut self, work: &mut Work) {
+        // A participant that has made a connection by now calls by itself.
+        let still = work.asked.drain(..).filter(|(core, gid)| core.expects(*gid));
+        work.calls.extend(still.map(|(_, gid)| gid.participant()));
         // Segments of samples that publishers have made are mapped before samples come from there.
         let publishers = std::mem::take(&mut work.publishers);
         for core in publishers.values().filter(|core| core.take_grown()) {

@@ -116,3 +116,14 @@ fn a_publisher_is_awaited_until_what_it_sends_from_can_be_reached() {
     other.matcher.refresh();
     assert!(!publisher.is_awaited(all));
 }
+
+#[test]
+fn a_participant_that_has_connected_is_not_called_for_it() {
+    crate::tests::isolated();
+    let (one, other) = (Party::join(7), Party::join(7));
+    let (subscription, _live) = other.subscription();
+    let (_publisher, _other_live) = one.publisher();
+    let before = one.calls();
+    other.matcher.refresh();
+    assert_eq!((subscription.expected(), one.calls()), (0, before));
+}

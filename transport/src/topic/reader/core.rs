@@ -242,6 +242,11 @@ impl SubscriptionCore {
         Ok(true)
     }
 
+    /// Whether this publisher is expected.
+    pub(crate) fn expects(&self, publisher: Gid) -> bool {
+        self.setup().expected.iter().any(|expected| expected.gid == publisher)
+    }
+
     /// How many publishers are expected.
     pub(crate) fn expected(&self) -> usize {
         self.setup().expected.len()

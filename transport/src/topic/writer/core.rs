@@ -110,7 +110,7 @@ pub(crate) struct DiscoveredSubscription {
 }
 
 impl PublisherCore {
-    /// Makes the memory of a publisher that has no subscription yet.
+    /// Makes a publisher that has no subscription yet. Whoever makes it known has samples made for it: see [`expect`](Self::expect).
     pub(crate) fn create(
         (memory, record): (&Arc<OwnMemory>, &Arc<OwnRecord>),
         gid: Gid,
@@ -164,12 +164,6 @@ impl PublisherCore {
             matched: Arc::default(),
             setup: PiMutex::new(setup),
         };
-        let grown = core.grow(&mut core.setup(), None);
-        if let Err(error) = grown {
-            core.release(|_| false, |_| false);
-            return Err(error);
-        }
-        core.hand_over(&mut core.setup());
         Ok((Arc::new(core), PublishState::new(reader)))
     }
 
@@ -276,7 +270,7 @@ impl PublisherCore {
         demand.join(0, held);
     }
 
-    /// Makes room for what subscriptions will ask for that are about to be connected, at once.
+    /// Makes samples, those included that subscriptions will ask for that are about to be connected: all at once.
     ///
     /// # Errors
     /// There is no shared memory for it.
