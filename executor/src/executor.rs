@@ -8,6 +8,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use futures::executor::LocalPool;
+use futures::future::LocalFutureObj;
+use futures::task::LocalSpawn;
 use tautline_rt::{
     BudgetTimer, CoreSet, CoreTime, OwnPriority, Policy, Realtime, RtError, ThreadBuilder, clock,
     current_affinity, current_policy, host::online_cores, prove_enforcement,
@@ -17,8 +20,8 @@ use crate::account::{CoreTimeAccount, SamplerStatistics};
 use crate::callback::{CallbackShared, Completion, CompletionGuard, Thread};
 use crate::group::{CallbackGroup, MemberInfo};
 use crate::hot::{
-    self, BudgetEnforcer, CallbackThread, Controlled, GroupFuture, Measured, OwnParker, Parker, Stopwatch,
-    TaskControl, WaitMode,
+    self, BudgetEnforcer, CallbackThread, Controlled, GroupFuture, Measured, Parker, Stopwatch, TaskControl,
+    WaitMode,
 };
 use crate::registry::{RegisteredThread, Registry};
 use crate::settings::{CallbackSettings, Callbacks};
@@ -305,20 +308,22 @@ impl Executor {
                 trace,
                 announced: Cell::default(),
             });
-            let waiting = if busy {
-                WaitMode::Busy
-            } else {
-                let parker = parker.unwrap_or_else(OwnParker::here);
-                WaitMode::On(Arc::clone(&parker), hot::waker_of(&parker), spin)
+            let mut pool = LocalPool::new();
+            let waiting = match parker {
+                _ if busy => WaitMode::Busy,
+                Some(parker) => WaitMode::On(Arc::clone(&parker), hot::waker_of(&parker), spin),
+                None => WaitMode::InPool,
             };
-            let controlled = Controlled { future, control: thread_control, waiting };
+            let future = Controlled { future, control: Arc::clone(&thread_control), waiting };
+            let spawned = pool.spawner().spawn_local_obj(LocalFutureObj::new(Box::new(future)));
+            debug_assert!(spawned.is_ok(), "the pool lives");
+            // A first poll, which does not reach the callback: it makes the pool claim its memory.
+            pool.run_until_stalled();
             move || {
                 let _guard = guard;
-                // Dropped before that says that it has ended.
-                let mut controlled = controlled;
-                // A callback that runs an executor of its own would keep the thread from all others of its streams.
-                let _entered = futures::executor::enter().expect("nothing runs on a new thread");
-                controlled.run();
+                let mut pool = pool;
+                thread_control.start();
+                pool.run();
             }
         });
         let thread = thread.map_err(refused)?;
@@ -345,7 +350,7 @@ impl Executor {
         Ok(CallbackHandle::new(callback))
     }
 
-    /// What the thread will sleep on, if that is not its own.
+    /// What the thread will sleep on, if not as the pool does.
     fn parker(&self, options: &CallbackOptions) -> Result<Option<Arc<dyn Parker>>, ExecutorError> {
         if !options.direct_wake || options.busy_poll {
             return Ok(None);

@@ -10,7 +10,6 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::{Context, Poll, Wake, Waker, ready};
-use std::thread::{self, Thread};
 use std::time::Duration;
 
 use futures::Stream;
@@ -292,7 +291,8 @@ pub fn busy_polling() -> bool {
 /// # Real-time
 /// Wait-free; no allocation; no syscall.
 pub fn stop_requested() -> bool {
-    current(|thread| thread.control.is_stopped()).unwrap_or(false)
+    // Acquire: pairs with the Release in `TaskControl::stop`.
+    current(|thread| thread.control.stopped.load(Ordering::Acquire)).unwrap_or(false)
 }
 
 // ---- Running a future until it ends or is told to stop ----
@@ -300,24 +300,26 @@ pub fn stop_requested() -> bool {
 /// The state shared by a callback's thread and its handle.
 #[derive(Default)]
 pub(crate) struct TaskControl {
+    started: AtomicBool,
     stopped: AtomicBool,
     waker: AtomicWaker,
 }
 
 impl TaskControl {
+    /// Lets the future be polled.
+    pub fn start(&self) {
+        self.started.store(true, Ordering::Release);
+        self.waker.wake();
+    }
+
     /// Ends the future at its next poll, and wakes it for that poll.
     pub fn stop(&self) {
         self.stopped.store(true, Ordering::Release);
         self.waker.wake();
     }
-
-    fn is_stopped(&self) -> bool {
-        // Acquire: pairs with the Release in `stop`.
-        self.stopped.load(Ordering::Acquire)
-    }
 }
 
-/// How a callback thread sleeps. One that not only the executor's wakers wake is given its own: see
+/// How a callback thread sleeps if not only the executor's wakers can wake it: see
 /// [`CallbackOptions::direct_wake`](crate::CallbackOptions::direct_wake).
 pub trait Parker: Any + Send + Sync {
     /// Sleeps until somebody has unparked it since the last return, after it has looked for that without sleeping for `spin`.
@@ -326,35 +328,6 @@ pub trait Parker: Any + Send + Sync {
 
     /// Wakes the thread if it sleeps; else it will not fall asleep before it has looked again.
     fn unpark(&self);
-}
-
-/// How a thread sleeps that nothing but wakers wakes. What runs on it may use up the token of `thread::park`, hence the flag.
-pub(crate) struct OwnParker {
-    thread: Thread,
-    unparked: AtomicBool,
-}
-
-impl OwnParker {
-    /// The current thread's.
-    #[allow(clippy::disallowed_methods, reason = "set-up")]
-    pub fn here() -> Arc<dyn Parker> {
-        Arc::new(OwnParker { thread: thread::current(), unparked: AtomicBool::new(false) })
-    }
-}
-
-impl Parker for OwnParker {
-    fn park(&self, _spin: Duration) {
-        // Acquire: pairs with the Release in `unpark`.
-        while !self.unparked.swap(false, Ordering::Acquire) {
-            thread::park();
-        }
-    }
-
-    fn unpark(&self) {
-        if !self.unparked.swap(true, Ordering::Release) {
-            self.thread.unpark();
-        }
-    }
 }
 
 struct ParkerWaker(Arc<dyn Parker>);
@@ -397,13 +370,15 @@ pub fn parks_on(known: Option<&Arc<dyn Parker>>) -> bool {
 
 /// How a callback thread waits for its future.
 pub(crate) enum WaitMode {
-    /// On this parker, which the waker unparks, after a spin.
+    /// Like the pool, which parks the thread.
+    InPool,
+    /// On its own parker, after a spin.
     On(Arc<dyn Parker>, Waker, Duration),
     /// It does not wait.
     Busy,
 }
 
-/// A callback's future: ended when stopped, polled again and again when busy.
+/// A callback's future: held back until started, ended when stopped, polled again and again when busy.
 pub(crate) struct Controlled {
     pub future: Pin<Box<dyn Future<Output = ()>>>,
     pub control: Arc<TaskControl>,
@@ -417,20 +392,39 @@ impl Drop for Controlled {
     }
 }
 
-impl Controlled {
-    /// Runs the future until it ends or is stopped.
-    pub fn run(&mut self) {
-        let Controlled { future, control, waiting } = self;
-        let mut is_over =
-            |context: &mut Context<'_>| control.is_stopped() || future.as_mut().poll(context).is_ready();
+impl Future for Controlled {
+    type Output = ();
+
+    fn poll(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<()> {
+        let Controlled { future, control, waiting } = &mut *self;
+        // Before the flags are read, so that a change after reading them wakes.
+        control.waker.register(cx.waker());
+        // Acquire: each pairs with the Release in `TaskControl`.
+        if control.stopped.load(Ordering::Acquire) {
+            return Poll::Ready(());
+        }
+        if !control.started.load(Ordering::Acquire) {
+            return Poll::Pending;
+        }
+        // The loops of those that do not park stay here: a turn through the pool would cost more than the poll, and nobody else
+        // is in this pool.
         match waiting {
+            WaitMode::InPool => future.as_mut().poll(cx),
             // What is polled again anyway need not be woken.
-            WaitMode::Busy => while !is_over(&mut Context::from_waker(Waker::noop())) {},
+            WaitMode::Busy => loop {
+                if future.as_mut().poll(&mut Context::from_waker(Waker::noop())).is_ready()
+                    || control.stopped.load(Ordering::Acquire)
+                {
+                    return Poll::Ready(());
+                }
+            },
             WaitMode::On(parker, waker, spin) => {
-                // Before the flag is read, so that a change after that wakes.
                 control.waker.register(waker);
-                let mut context = Context::from_waker(waker);
-                while !is_over(&mut context) {
+                let mut cx = Context::from_waker(waker);
+                loop {
+                    if control.stopped.load(Ordering::Acquire) || future.as_mut().poll(&mut cx).is_ready() {
+                        return Poll::Ready(());
+                    }
                     parker.park(*spin);
                 }
             }

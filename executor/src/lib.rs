@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Callback threads: one future and one priority each.
+//! Callback threads: one `LocalPool` and one priority each.
 //!
 //! - [`Executor::spawn_callback`] runs a future on its own thread: named, pinned, at its own `SCHED_FIFO` priority. So
-//!   the kernel's scheduler decides between callbacks, and response-time analysis applies to them. The thread polls the future when it
-//!   is woken, and parks in between.
+//!   the kernel's scheduler decides between callbacks, and response-time analysis applies to them. The thread runs a
+//!   [`futures::executor::LocalPool`], which parks when nothing is ready.
 //! - A [`CallbackGroup`] is several callbacks on one thread that never overlap, served in order of release.
 //! - [`CallbackOptions::direct_wake`] lets publishers wake the thread, through a [`Parker`] of the transport.
 //! - [`CallbackOptions::busy_poll`] avoids the wake-up at the cost of a core: the thread polls and never
