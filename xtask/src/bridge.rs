@@ -26,6 +26,17 @@ pub fn test(steps: &mut Steps) {
     if ros::chosen() == Distribution::default() {
         let mut doc_tests = lints::cargo(&format!("test {WHOLE} --doc"));
         steps.command("bridge-ros: doc tests", with_ros(&environment, &mut doc_tests));
+    } else {
+        forget_r2r();
+    }
+}
+
+/// What r2r's build script has made, which it finds and says nothing of when it runs once more: with the bindings of the usual distribution again,
+/// it is to begin anew.
+fn forget_r2r() {
+    let made = std::fs::read_dir(Build::Tests.folder().join("build")).into_iter().flatten().flatten();
+    for folder in made.filter(|entry| entry.file_name().to_string_lossy().starts_with("r2r-")) {
+        let _ = std::fs::remove_dir_all(folder.path());
     }
 }
 
