@@ -462,10 +462,16 @@ fn a_recording_is_thinned_out_and_paused() {
     recorder.signal("-USR1");
     sleep_until_monotonic(monotonic_ns() + 200_000_000);
     let start_ns = monotonic_ns();
+    // What comes in time to be kept: a machine that has no time lets some come late, and then at once.
+    let (mut due_ns, mut at_least) = (0, 0.0);
     for n in 0..1000 {
         sleep_until_monotonic(start_ns + n * 1_000_000);
         all.publish(&Count { n: n + 2 }).unwrap();
+        let now_ns = monotonic_ns();
         some.publish(&Count { n: n + 2 }).unwrap();
+        if now_ns > due_ns {
+            (due_ns, at_least) = (monotonic_ns() + 10_000_000, at_least + 1.0);
+        }
     }
     let seconds = (monotonic_ns() - start_ns) as f64 / 1e9;
     let (code, out, errors) = recorder.end();
@@ -473,7 +479,7 @@ fn a_recording_is_thinned_out_and_paused() {
     let topics = place.read();
     assert_eq!(numbers(&topics["/all"]), (2..1002).collect::<Vec<_>>());
     let kept = topics["/some"].len() as f64;
-    assert!(kept <= 100.0 * seconds + 2.0 && kept >= 90.0, "{kept} in {seconds} s");
+    assert!((at_least..=100.0 * seconds + 2.0).contains(&kept), "{kept} of {at_least} in {seconds} s");
     let report: Value = serde_json::from_str(&out).unwrap();
     let some = report["topics"].as_array().unwrap().iter().find(|topic| topic["topic"] == "/some").unwrap();
     assert_eq!((&some["paused"], &some["throttled"]), (&1.into(), &(1000 - kept as u64).into()));
@@ -524,7 +530,19 @@ fn what_publishers_keep_is_recorded_after_a_pause() {
     assert!(publishers.len() == 2 && publishers[0] != publishers[1], "{publishers:?}");
 }
 
-/// Killed at random instants, it leaves a bag of all but the last second. `TAUT_KILLS` says how often.
+/// How many times longer than alone a thread needs now that computes and writes: what the machine gives, measured until the sender is gone.
+fn slowdown(file: PathBuf, until: std::sync::mpsc::Receiver<()>) -> std::thread::JoinHandle<f64> {
+    std::thread::spawn(move || {
+        let (start_ns, cpu_ns) = (monotonic_ns(), rt::clock::thread_cpu_ns());
+        while until.try_recv() == Err(std::sync::mpsc::TryRecvError::Empty) {
+            rt::clock::burn_cpu(std::time::Duration::from_millis(2));
+            std::fs::write(&file, [0; 1 << 16]).unwrap();
+        }
+        (monotonic_ns() - start_ns) as f64 / (rt::clock::thread_cpu_ns() - cpu_ns) as f64
+    })
+}
+
+/// Killed at random instants, it leaves a bag of all but the last second, on a machine that has time for it. `TAUT_KILLS` says how often.
 #[test]
 fn a_kill_costs_no_more_than_the_last_second() {
     let kills: u64 = std::env::var("TAUT_KILLS").map_or(6, |kills| kills.parse().unwrap());
@@ -548,6 +566,8 @@ fn a_kill_costs_no_more_than_the_last_second() {
         state ^= state << 13;
         state ^= state >> 7;
         state ^= state << 17;
+        let (is_sending, sends) = std::sync::mpsc::channel();
+        let slowdown = slowdown(place.folder.path().join("control"), sends);
         let (start_ns, time_ns) = (monotonic_ns(), state % 2_000_000_000);
         let (mut sent, mut sent_images) = (Vec::new(), Vec::new());
         for n in 0.. {
@@ -567,19 +587,22 @@ fn a_kill_costs_no_more_than_the_last_second() {
         recorder.0.kill().unwrap();
         let killed_ns = monotonic_ns();
         recorder.0.wait().unwrap();
+        drop(is_sending);
+        let slowdown = slowdown.join().unwrap();
         let (code, out, errors) = place.run(&["bag", "recover", "bag"]);
         assert_eq!(code, 0, "{out}{errors}");
         let topics = place.read();
         // Of each topic by itself: which of two is taken first is up to the recorder.
-        for (topic, sent, latest_first) in [(&topic, &sent, 100), (&camera_topic, &sent_images, 5)] {
+        for (topic, sent, latest_first) in [(&topic, &sent, 100.0), (&camera_topic, &sent_images, 5.0)] {
             let kept = topics.get(topic).map_or(Vec::new(), |messages| numbers(messages));
             let first = kept.first().copied().unwrap_or(0);
             assert_eq!(kept, (first..).take(kept.len()).collect::<Vec<_>>());
-            let certain = sent.iter().filter(|sent_ns| killed_ns - *sent_ns > 1_000_000_000).count();
+            let second_ns = (1e9 * slowdown) as u64;
+            let certain = sent.iter().filter(|sent_ns| killed_ns - *sent_ns > second_ns).count();
             let until = first as usize + kept.len();
             assert!(
-                first < latest_first && until >= certain,
-                "{topic}, killed after {time_ns} ns: {first}..{until} of {certain}"
+                (first as f64) < latest_first * slowdown && until >= certain,
+                "{topic}, killed after {time_ns} ns, {slowdown} x as slow: {first}..{until} of {certain}"
             );
         }
         assert_eq!(place.run(&["bag", "check", "bag"]).0, 0);

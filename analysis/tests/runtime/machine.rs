@@ -287,6 +287,8 @@ struct Machine<'m> {
     /// Whether jobs that are held to their budgets exceed them.
     is_wild: bool,
     now: u64,
+    /// The instant at which jobs end: this one before anything has run in it, then the next.
+    instant: u64,
     events: BTreeMap<u64, Vec<Event>>,
     threads: Vec<Thread>,
     thread_of: Vec<usize>,
@@ -395,6 +397,7 @@ pub fn simulate(model: &Model, run: &Run) -> Seen {
         model,
         is_wild,
         now: 0,
+        instant: 0,
         events,
         threads,
         thread_of,
@@ -472,6 +475,35 @@ fn is_timer(model: &Model, i: usize) -> bool {
 
 impl Machine<'_> {
     fn step(&mut self, tick_from: u64) {
+        let is_due = |(period, _): &(u64, u64), at: u64| self.now % period == at % period;
+        let (tick, refill) = (
+            self.model.tick.filter(|tick| is_due(tick, tick_from)),
+            self.model.throttling.filter(|throttling| is_due(throttling, tick_from * 7)),
+        );
+        let cores = (0..self.model.hosts.len()).filter(|core| !self.is_stalled(*core)).collect::<Vec<_>>();
+        self.used
+            .iter_mut()
+            .for_each(|used| *used = used.saturating_sub(refill.map_or(0, |(_, runtime)| runtime)));
+        self.instant = self.now;
+        for core in &cores {
+            while self.finish(*core) {}
+        }
+        self.interrupts.iter_mut().for_each(|left| *left += tick.map_or(0, |(_, wcet)| wcet));
+        self.arrive();
+        self.instant = self.now + 1;
+        for core in cores {
+            self.run(core);
+        }
+        self.now += 1;
+    }
+
+    fn is_stalled(&self, core: usize) -> bool {
+        let from = self.stalled_from[core];
+        (from..from.saturating_add(self.model.stall)).contains(&self.now)
+    }
+
+    /// Everything that is due now.
+    fn arrive(&mut self) {
         for event in self.events.remove(&self.now).unwrap_or_default() {
             match event {
                 Event::Register(topic, host, tags) => self.registers[topic][host] = tags,
@@ -496,24 +528,6 @@ impl Machine<'_> {
                 }
             }
         }
-        for core in 0..self.model.hosts.len() {
-            if let Some((period, wcet)) = self.model.tick
-                && self.now % period == tick_from % period
-            {
-                self.interrupts[core] += wcet;
-            }
-            if let Some((period, runtime)) = self.model.throttling
-                && self.now % period == tick_from * 7 % period
-            {
-                self.used[core] = self.used[core].saturating_sub(runtime);
-            }
-            if !(self.stalled_from[core]..self.stalled_from[core].saturating_add(self.model.stall))
-                .contains(&self.now)
-            {
-                self.run(core);
-            }
-        }
-        self.now += 1;
     }
 
     fn record(&mut self, step: Step) {
@@ -582,36 +596,61 @@ impl Machine<'_> {
         *self.seen.lost.entry((i, topic)).or_default() += lost as u64;
     }
 
+    fn is_throttled(&self, core: usize) -> bool {
+        self.model.throttling.is_some_and(|(_, runtime)| self.used[core] >= runtime)
+    }
+
+    /// The thread whose job nothing preempts now.
+    fn stiff(&self, core: usize) -> Option<usize> {
+        self.threads.iter().position(|thread| {
+            thread.core == core
+                && thread.job.as_ref().is_some_and(|job| {
+                    let (from, length) = job.section;
+                    (from + 1..from + length).contains(&job.done)
+                })
+        })
+    }
+
+    /// The thread that runs next.
+    fn best(&self, core: usize) -> Option<usize> {
+        // Of equals the one that runs goes on, and what a lock has made equal was there before.
+        let goes_on = |at: usize| self.running[core] == Some(at) || self.holder[core].contains(&Some(at));
+        let ready = (0..self.threads.len()).filter(|at| self.is_ready(core, *at));
+        ready.max_by_key(|at| (self.rank(*at), goes_on(*at)))
+    }
+
+    /// Ends the job whose work is done and whose turn it is to return, if there is one.
+    fn finish(&mut self, core: usize) -> bool {
+        let is_busy = self.interrupts[core] > 0 || self.switching[core] > 0 || self.stiff(core).is_some();
+        let Some(at) = self.best(core).filter(|_| !is_busy && !self.is_throttled(core)) else { return false };
+        let is_here = self.running[core] == Some(at) || self.model.switch == 0;
+        let is_next = self.rank(at) == 100 || self.top[core].is_empty();
+        match self.threads[at].job.take_if(|job| is_here && is_next && job.done == job.work) {
+            Some(job) => self.end(at, &job),
+            None => return false,
+        }
+        true
+    }
+
     fn run(&mut self, core: usize) {
         if self.interrupts[core] > 0 {
             self.interrupts[core] -= 1;
             return;
         }
-        if self.model.throttling.is_some_and(|(_, runtime)| self.used[core] >= runtime) {
+        if self.is_throttled(core) {
             return;
         }
-        let here = |thread: &Thread| thread.core == core;
-        let is_stiff = |thread: &Thread| {
-            here(thread)
-                && thread.job.as_ref().is_some_and(|job| {
-                    let (from, length) = job.section;
-                    (from + 1..from + length).contains(&job.done)
-                })
-        };
         if self.switching[core] > 0 {
             self.switching[core] -= 1;
             self.used[core] += 1;
             return;
         }
-        if let Some(at) = self.threads.iter().position(is_stiff) {
+        if let Some(at) = self.stiff(core) {
             self.work(at);
             return;
         }
         loop {
-            // Of equals the one that runs goes on, and what a lock has made equal was there before.
-            let goes_on = |at: usize| self.running[core] == Some(at) || self.holder[core].contains(&Some(at));
-            let ready = (0..self.threads.len()).filter(|at| self.is_ready(core, *at));
-            let best = ready.max_by_key(|at| (self.rank(*at), goes_on(*at)));
+            let best = self.best(core);
             let reserved = best.is_some_and(|at| self.rank(at) == 100);
             if !reserved && let Some((left, _)) = self.top[core].front_mut() {
                 *left -= 1;
@@ -632,8 +671,17 @@ impl Machine<'_> {
                 // It may be demoted from the start.
                 continue;
             }
-            if !self.is_used_up(at) && self.switch(core, Some(at)) {
+            let is_done = self.threads[at].job.as_ref().is_some_and(|job| job.done == job.work);
+            if (is_done || !self.is_used_up(at)) && self.switch(core, Some(at)) {
                 return;
+            }
+            if is_done {
+                // Whoever was before it is demoted or asleep just now.
+                self.instant = self.now;
+                self.finish(core);
+                self.arrive();
+                self.instant = self.now + 1;
+                continue;
             }
             if self.may_go_on(core, at) {
                 self.work(at);
@@ -883,7 +931,13 @@ impl Machine<'_> {
         job.done += 1;
         job.used += 1;
         let released = job.locks.iter().find(|(_, offset, length)| job.done == offset + length);
-        let (is_done, callback) = (job.done == job.work, job.message.callback);
+        // A lock or a section that ends with the work is given back before the job returns: who waited for that goes first, unless the section
+        // is the whole run.
+        let (from, length) = job.section;
+        let callback = &self.model.callbacks[job.message.callback];
+        let is_part = (1..callback.wcet).contains(&callback.non_preemptive);
+        let gives_back = released.is_some() || is_part && job.done == from + length;
+        let (is_done, callback) = (job.done == job.work && !gives_back, job.message.callback);
         if let Some(lock) = released.map(|(lock, ..)| *lock) {
             self.holder[core][lock] = None;
             self.seen.steps.push((self.now + 1, Step::Unlocked { callback, lock }));
@@ -896,7 +950,7 @@ impl Machine<'_> {
     }
 
     fn end(&mut self, at: usize, job: &Job) {
-        let (i, now) = (job.message.callback, self.now + 1);
+        let (i, now) = (job.message.callback, self.instant);
         if job.message.set.is_empty() {
             job.more.iter().chain([&job.message]).for_each(|message| *self.waiting(message) -= 1);
         }
@@ -972,7 +1026,7 @@ impl Machine<'_> {
     }
 
     fn at(&mut self, at: u64, event: Event) {
-        self.events.entry(at.max(self.now + 1)).or_default().push(event);
+        self.events.entry(at.max(self.instant)).or_default().push(event);
     }
 
     fn publish(&mut self, message: &Message, now: u64) {

@@ -22,6 +22,7 @@ use tautline::lifecycle_msgs::srv::GetAvailableTransitions;
 use tautline::rcl_interfaces::srv::ListParameters;
 use tautline_definitions::find_schema;
 use tautline_msgs::Service;
+use tautline_rt::clock::test_time;
 use tautline_schema::{Kind, TypeName};
 use tautline_transport::{GraphSnapshot, ServiceKind, graph_of};
 
@@ -55,7 +56,7 @@ fn offered(find: Find, word: &OsStr) -> Option<Vec<CompletionCandidate>> {
     let (tell, told) = mpsc::channel();
     let typed = word.to_owned();
     thread::spawn(move || tell.send(find(asked, &typed)));
-    let names = told.recv_timeout(LIMIT.saturating_sub(asked.since.elapsed())).ok()??;
+    let names = told.recv_timeout(test_time(LIMIT).saturating_sub(asked.since.elapsed())).ok()??;
     let candidate = |(name, of_type): (String, String)| {
         if !asked.shell_takes(&name) {
             return None;
@@ -230,7 +231,7 @@ pub fn interfaces() -> ArgValueCompleter {
 fn answer<T: Service>(asked: &Asked, node: &str, service: &str, request: T::Request) -> Option<T::Response> {
     let domain = asked.line.domain()?;
     let node = node_serving(domain, node, service, "").ok()?;
-    let mut caller = Caller::new(domain, End::at(asked.since + PATIENCE).ok()?).ok()?;
+    let mut caller = Caller::new(domain, End::at(asked.since + test_time(PATIENCE)).ok()?).ok()?;
     caller.call::<T>(&format!("{node}/{service}"), request).ok()
 }
 
