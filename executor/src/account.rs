@@ -19,27 +19,31 @@ pub(crate) struct CoreTimeAccount {
     begun: Cell<Option<CoreMark>>,
     /// Jobs that have started and not ended.
     running: Cell<u32>,
-    /// When the previous job ended, or the thread started or [paused](Self::pause), and the processor time that it had used by then.
+    /// When the previous job ended, or the thread started, and the processor time that it had used by then.
     ended: Cell<(u64, u64)>,
+    /// The same of its last [pause](Self::pause), if that was later.
+    paused: Cell<(u64, u64)>,
 }
 
 impl CoreTimeAccount {
     pub fn new(clock: CoreTime, least_ns: u64) -> CoreTimeAccount {
         let account = CoreTimeAccount {
             ended: Cell::default(),
+            paused: Cell::default(),
             begun: Cell::new(None),
             running: Cell::new(0),
             clock,
             least_ns,
         };
         account.pause();
+        account.ended.set(account.paused.get());
         account
     }
 
     /// The thread waits for its next job.
     pub fn pause(&self) {
         let now = self.clock.mark();
-        self.ended.set((now.to_ns, now.used_ns));
+        self.paused.set((now.to_ns, now.used_ns));
     }
 
     /// Records the start of a job.
@@ -57,14 +61,16 @@ impl CoreTimeAccount {
             return;
         }
         let now = self.clock.mark();
-        let (ended_ns, used_ns) = self.ended.replace((now.to_ns, now.used_ns));
+        let (ended_ns, before_ns) = self.ended.replace((now.to_ns, now.used_ns));
+        let (paused_ns, used_ns) = self.paused.replace((now.to_ns, now.used_ns));
         let Some(begun) = self.begun.take().filter(|_| !slept) else { return };
         note_taken(stats, &begun, &now, self.least_ns);
         if let (Some((release_ns, to_ns)), Some(preempted_ns)) = (late, begun.waited_until(&now)) {
             // Before, the thread did something else, and what it has used since was no wait.
             let from_ns = release_ns.max(ended_ns).min(to_ns);
-            let length_ns = begun.from_ns.saturating_sub(from_ns);
-            let length_ns = length_ns.saturating_sub(begun.used_ns.saturating_sub(used_ns));
+            let own_ns = used_ns.saturating_sub(before_ns).min(paused_ns.saturating_sub(from_ns));
+            let own_ns = own_ns.saturating_add(begun.used_ns.saturating_sub(used_ns));
+            let length_ns = begun.from_ns.saturating_sub(from_ns).saturating_sub(own_ns);
             let length_ns = length_ns.saturating_add(preempted_ns).min(to_ns - from_ns);
             if length_ns >= self.least_ns {
                 stats.note(&Moment { kind: MomentKind::Waited, from_ns, to_ns, length_ns });
@@ -272,18 +278,18 @@ mod tests {
         job(release_ns, true);
         assert!(waits()[waited..].iter().all(|wait| wait.from_ns >= end_ns), "{:?}", waits());
         // What the thread computes between its jobs is no wait, after a pause and before.
-        for pauses in [false, true] {
+        for pauses in [None, Some(0), Some(1)] {
             burn_cpu(Duration::from_millis(20));
-            if pauses {
-                account.pause();
-            }
+            let pause = |at| pauses.iter().filter(|pause| **pause == at).for_each(|_| account.pause());
+            pause(0);
             let (release_ns, waited) = (monotonic_ns(), waits().len());
             burn_cpu(Duration::from_millis(10));
+            pause(1);
             std::thread::sleep(Duration::from_millis(6));
             let most_ns = job(release_ns, true) - release_ns - 10_000_000;
             let found = &waits()[waited..];
             assert!(found.iter().all(|wait| wait.length_ns <= most_ns), "{found:?} {most_ns}");
-            assert!(!pauses || found.iter().any(|wait| wait.length_ns >= 5_000_000), "{found:?}");
+            assert!(pauses.is_none() || found.iter().any(|wait| wait.length_ns >= 5_000_000), "{found:?}");
         }
     }
 }

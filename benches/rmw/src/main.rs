@@ -161,7 +161,8 @@ fn verdicts(rows: &[Row]) -> Vec<Verdict> {
         trip(Client::C, Message::Loaned, 8 * MIB),
         trip(Client::C, Message::Loaned, rmw::STRUCT_BYTES),
     ];
-    let held = small.experiment(true);
+    let image = trip(Client::Rclcpp, Message::Struct, 8 * MIB);
+    let [held, of_rclcpp] = [small, image].map(|trip| trip.experiment(true));
     let modes = [small, large, loaned].map(|trip| [trip.message.name()]);
     let at_most = |times, metric, experiment, bytes: Option<usize>, modes| {
         let [ours, theirs] = [TAUTLINE, FAST_DDS].map(|system| Ways::new(experiment, bytes, system, modes));
@@ -184,6 +185,7 @@ fn verdicts(rows: &[Row]) -> Vec<Verdict> {
     let claims = [
         at_most(0.5, Metric::P50, &held, Some(small.bytes), &modes[0]),
         at_most(0.2, Metric::P50, &held, Some(large.bytes), &modes[1]).because(SERIALIZED_COPIES),
+        at_most(0.5, Metric::P50, &of_rclcpp, Some(image.bytes), &modes[0]),
         Claim::new(Metric::P50, of_loaned(loaned), Goal::Times(1.5, of_loaned(small_loaned))),
         Claim::new(Metric::P50, governed, Goal::Times(1.1, free)),
         waits_at_most(1, 1.1, of_waits(0, TAUTLINE)),
