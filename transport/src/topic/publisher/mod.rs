@@ -325,19 +325,6 @@ mod tests {
         assert_eq!(taken.collect::<Vec<_>>(), [1, 2, 3, 1, 2, 3]);
     }
 
-    #[test]
-    fn samples_for_subscriptions_that_are_there_are_made_at_once() {
-        crate::tests::isolated();
-        let participant = Participant::new(7).unwrap();
-        let (text, qos, limits) = (TopicType::new("test_msgs/msg/Text"), Qos::default(), Limits::default());
-        let text = text.with_body_bytes(1 << 12);
-        let _subscription = participant.create_raw_subscription("/once", &text, qos, limits).unwrap();
-        let publisher = participant.create_raw_publisher("/once", &text, qos, limits).unwrap();
-        let mut publish_state = publisher.publish_state.borrow_mut();
-        publish_state.refresh(None);
-        assert_eq!(publish_state.table().pool.segments().count(), 1);
-    }
-
     /// Publishers would wake one after the other, and be preempted by the first.
     #[test]
     fn a_message_for_several_threads_wakes_the_sampler_alone() {

@@ -110,7 +110,7 @@ pub(crate) struct DiscoveredSubscription {
 }
 
 impl PublisherCore {
-    /// Makes a publisher that has no subscription yet. Whoever makes it known has samples made for it: see [`expect`](Self::expect).
+    /// Makes the memory of a publisher that has no subscription yet.
     pub(crate) fn create(
         (memory, record): (&Arc<OwnMemory>, &Arc<OwnRecord>),
         gid: Gid,
@@ -164,6 +164,12 @@ impl PublisherCore {
             matched: Arc::default(),
             setup: PiMutex::new(setup),
         };
+        let grown = core.grow(&mut core.setup(), None);
+        if let Err(error) = grown {
+            core.release(|_| false, |_| false);
+            return Err(error);
+        }
+        core.hand_over(&mut core.setup());
         Ok((Arc::new(core), PublishState::new(reader)))
     }
 
@@ -270,7 +276,7 @@ impl PublisherCore {
         demand.join(0, held);
     }
 
-    /// Makes samples, those included that subscriptions will ask for that are about to be connected: all at once.
+    /// Makes room for what subscriptions will ask for that are about to be connected, at once.
     ///
     /// # Errors
     /// There is no shared memory for it.
