@@ -11,6 +11,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
+use tautline_rt::clock::process_cpu_ns;
 use tautline_rt::{JoinHandle, Policy, Realtime, RtError, ThreadBuilder, ThreadTime};
 
 /// Processor time that the threads of a gateway or bridge may use at real-time priority.
@@ -50,6 +51,8 @@ struct Meter {
     budget_ns: u64,
     looks: u32,
     at_start: ThreadTime,
+    /// The time of the whole process then.
+    process_ns: u64,
     is_demoted: bool,
     /// Windows since the priority was restored.
     since_promotion: u32,
@@ -59,12 +62,13 @@ struct Meter {
 }
 
 impl Meter {
-    fn new(budget: Budget, spent: ThreadTime) -> Self {
+    fn new(budget: Budget, spent: ThreadTime, process_ns: u64) -> Self {
         let budget_ns = WINDOW.as_nanos() as u64 * u64::from(budget.percent) / 100;
         Meter {
             budget_ns,
             looks: 0,
             at_start: spent,
+            process_ns,
             is_demoted: false,
             since_promotion: u32::MAX,
             calm: 0,
@@ -72,9 +76,15 @@ impl Meter {
         }
     }
 
-    /// `spent` is the total since start.
-    fn check(&mut self, spent: ThreadTime) -> Verdict {
+    /// `process_ns` is the total of the whole process since its start, `spent` that of the threads, whose reading takes long: it is read
+    /// at the end of a window, and where the process could have exceeded the budget.
+    fn check(&mut self, process_ns: u64, spent: impl FnOnce() -> ThreadTime) -> Verdict {
         self.looks += 1;
+        let may_be_over = self.is_demoted || process_ns.saturating_sub(self.process_ns) > self.budget_ns;
+        if self.looks < LOOKS_PER_WINDOW && !may_be_over {
+            return Verdict::Keep;
+        }
+        let spent = spent();
         let ThreadTime { used_ns, waited_ns } = spent.minus(self.at_start);
         let is_end = self.looks >= LOOKS_PER_WINDOW;
         let is_over = match self.is_demoted {
@@ -83,7 +93,7 @@ impl Meter {
         };
         if is_end || is_over {
             // The next window starts here.
-            (self.looks, self.at_start) = (0, spent);
+            (self.looks, self.at_start, self.process_ns) = (0, spent, process_ns);
         }
         match (self.is_demoted, is_over) {
             (false, true) => {
@@ -162,7 +172,8 @@ fn watch(budget: Budget, list: ThreadLister, stop: &AtomicBool, demotions: &Atom
     let (ended, is_demoted) = (ThreadTime::default(), false);
     let mut threads = BudgetedThreads { list, threads: Vec::new(), ended, is_demoted };
     threads.renew();
-    let mut meter = Meter::new(budget, threads.spent());
+    let process_ns = process_cpu_ns();
+    let mut meter = Meter::new(budget, threads.spent(), process_ns);
     let mut looks = 0u32;
     while !stop.load(Ordering::Relaxed) {
         std::thread::sleep(WINDOW / LOOKS_PER_WINDOW);
@@ -170,7 +181,7 @@ fn watch(budget: Budget, list: ThreadLister, stop: &AtomicBool, demotions: &Atom
         if looks.is_multiple_of(RENEWAL_LOOKS) {
             threads.renew();
         }
-        match meter.check(threads.spent()) {
+        match meter.check(process_cpu_ns(), || threads.spent()) {
             Verdict::Keep => {}
             Verdict::Demote => {
                 demotions.fetch_add(1, Ordering::Relaxed);
@@ -250,7 +261,7 @@ mod tests {
     impl Trial {
         fn new() -> Self {
             let start = ThreadTime { used_ns: 7, waited_ns: 9 };
-            Trial(Meter::new(Budget { percent: 25 }, start), start)
+            Trial(Meter::new(Budget { percent: 25 }, start, 5), start)
         }
 
         /// Verdicts other than `Keep` of `count` checks, with the percentages of time used and waited in each.
@@ -259,7 +270,8 @@ mod tests {
             for look in 0..count {
                 let share = |percent: u64| LOOK_NS * percent / 100;
                 self.1 = self.1.plus(ThreadTime { used_ns: share(used), waited_ns: share(waited) });
-                verdicts.push((look, self.0.check(self.1)));
+                // Other threads of the process have used some, too.
+                verdicts.push((look, self.0.check(self.1.used_ns + 40_000_000, || self.1)));
             }
             verdicts.retain(|(_, verdict)| *verdict != Verdict::Keep);
             verdicts
