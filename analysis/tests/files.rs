@@ -96,23 +96,31 @@ fn publishers_wake_what_only_topics_trigger() {
     let text = text.replace("\"scan\", \"plan\", \"drive\"", "\"scan\", \"plan\"");
     assert_eq!(wake_ups(&format!("{text}[groups.both]")), [timer, timer, timer]);
     let ros = with("[nodes.control]", "[nodes.control]\nclient = \"rclcpp\"");
-    assert_eq!(wake_ups(&ros)[1], WakeUp::Sampler("an executor of ROS 2 runs it"));
+    assert_eq!(wake_ups(&ros)[1], WakeUp::Publisher);
+    let ros = ros.replacen("wcet = \"3ms\"", "wcet = \"3ms\"\ndirect_wake = false", 1);
+    expect(&ros, &[(20, "callback `plan` is run by an executor of ROS 2's, which publishers wake")]);
+}
+
+/// A publisher would wake one after the other, and be preempted by the first.
+#[test]
+fn the_sampler_wakes_threads_that_take_one_topic() {
+    let text = with("topic = [\"/path\", \"/joy\"]", "topic = \"/path\"");
+    let text = text + "[callbacks.log]\nnode = \"driver\"\ntopic = \"/scan\"\nwcet = \"1ms\"\n";
+    let found = wake_ups(&text);
+    let shared = WakeUp::Sampler("another thread takes one of its topics");
+    assert_eq!(found[1..], [shared, WakeUp::Publisher, shared]);
 }
 
 #[test]
-fn as_many_threads_are_woken_by_publishers_as_have_bells() {
-    let many = |topics: usize, callbacks: usize| {
+fn publishers_wake_threads_of_as_many_topics_as_a_bell_has_places() {
+    for (topics, is_direct) in [(63, true), (64, false)] {
         let mut text = String::from("[hosts.robot]\ncores = 1\n[nodes.control]\n[topics]\n");
         (0..topics).for_each(|i| writeln!(text, "t{i} = {{ period = \"10s\" }}").unwrap());
         let names: Vec<_> = (0..topics).map(|i| format!("\"t{i}\"")).collect();
-        for i in 0..callbacks {
-            let names = names.join(", ");
-            writeln!(text, "[callbacks.c{i}]\ntopic = [{names}]\nwcet = \"1us\"\npriority = 10").unwrap();
-            writeln!(text, "shares_priority = true").unwrap();
-        }
-        wake_ups(&text).into_iter().filter(|wake_up| *wake_up == WakeUp::Publisher).count()
-    };
-    assert_eq!([many(63, 1), many(64, 1), many(1, 128), many(1, 130)], [1, 0, 128, 128]);
+        writeln!(text, "[callbacks.c]\ntopic = [{}]\nwcet = \"1us\"\npriority = 10", names.join(", "))
+            .unwrap();
+        assert_eq!(wake_ups(&text)[0] == WakeUp::Publisher, is_direct);
+    }
 }
 
 #[test]

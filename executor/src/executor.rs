@@ -357,7 +357,10 @@ impl Executor {
         }
         let refused = |source| ExecutorError::DirectWake { name: options.name.clone(), source };
         let make = self.parkers.as_ref().ok_or_else(|| refused("see Executor::with_parkers".into()))?;
-        make().map(Some).map_err(refused)
+        match make() {
+            Err(_) if options.is_direct_wake_optional => Ok(None),
+            made => made.map(Some).map_err(refused),
+        }
     }
 
     /// The place the thread will have, as far as it is known before it runs.

@@ -47,6 +47,8 @@ pub struct CallbackOptions {
     pub busy_poll: bool,
     /// Let publishers wake the thread: see [`CallbackOptions::direct_wake`].
     pub direct_wake: bool,
+    /// Whether the sampler wakes the thread if the process has no bell left on which publishers could: else that is an error.
+    pub is_direct_wake_optional: bool,
     /// How long such a thread polls for a message before it sleeps: see [`CallbackOptions::spin`].
     pub spin: Duration,
     /// Measure execution times, at one syscall per job (none if the thread busy-polls). On by default.
@@ -102,6 +104,7 @@ impl CallbackOptions {
             watch: Watch { on_overrun: None, on_deadline_miss: None },
             busy_poll: false,
             direct_wake: false,
+            is_direct_wake_optional: false,
             spin: Duration::ZERO,
             execution_time: true,
         }
@@ -251,9 +254,9 @@ impl CallbackOptions {
     /// earlier, and costs less CPU time.
     ///
     /// Messages of subscriptions and requests wake the thread in this way; timers, responses and everything else still wake it
-    /// through the sampler, and so does a message for several threads of this process, which the sampler lets run in the order of their
-    /// priorities. So bounds that were computed with a sampler still hold. The cost: a publisher that sends to several topics at once
-    /// makes a futex wake for each such thread that sleeps. docs/wake-ups.md compares the ways.
+    /// through the sampler. The cost: a publisher makes one futex wake for each such thread that sleeps, whereas one futex wake of the
+    /// sampler serves all other threads of the process. Of several threads that take one topic, the first one on the publisher's core
+    /// may preempt it before it has woken the next: where they have bounds, let the sampler wake them. docs/wake-ups.md compares the ways.
     ///
     /// Off by default. With a system file it is on for the threads for which the file says so, and for those where no bound gets worse.
     /// For a busy-polling thread, which never sleeps, this has no effect. A callback that blocks in its own executor (`block_on`) would

@@ -468,23 +468,15 @@ const _: () = {
 /// What is known of a type: of one that is only written in Rust also its hash, so that tools find its definition and read its messages.
 #[cfg(feature = "untyped")]
 fn topic_type_of<T: Message>() -> TopicType {
-    use std::collections::BTreeMap;
-    use std::sync::{Mutex, PoisonError};
     use tautline_schema::Schema;
     let topic_type = TopicType::of::<T>();
-    // Of each type once: it takes as long as it takes to make a publisher.
-    static HASHES: Mutex<BTreeMap<(&str, String), Option<String>>> = Mutex::new(BTreeMap::new());
     let Some(text) = topic_type.definition.as_ref().filter(|_| topic_type.hash.is_none()) else {
         return topic_type;
     };
-    let mut hashes = HASHES.lock().unwrap_or_else(PoisonError::into_inner);
-    let hash = hashes.entry((T::TYPE_NAME, text.to_string())).or_insert_with(|| {
-        // Fields whose names are none in ROS have no definition there.
-        let schema = T::TYPE_NAME.parse().ok().and_then(|name| Schema::from_text(&name, text).ok());
-        Some(schema?.hash().to_string())
-    });
-    match hash {
-        Some(hash) => topic_type.with_hash(hash.clone()),
+    // Fields whose names are none in ROS have no definition there.
+    let schema = T::TYPE_NAME.parse().ok().and_then(|name| Schema::from_text(&name, text).ok());
+    match schema {
+        Some(schema) => topic_type.with_hash(schema.hash().to_string()),
         None => topic_type,
     }
 }

@@ -171,7 +171,6 @@ pub(crate) fn thread_parkers(
     participant: &Participant,
 ) -> impl Fn() -> std::result::Result<Arc<dyn Parker>, Box<dyn std::error::Error + Send + Sync>> + use<> {
     let doorbell = participant.doorbell().clone();
-    doorbell.order_wakes();
     move || Ok(Arc::new(ThreadParker(doorbell.claim_thread_bell()?)))
 }
 

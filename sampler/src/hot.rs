@@ -127,7 +127,8 @@ impl Sampler {
         while !self.events.is_stopped() {
             self.serve();
             // Nothing else, such as another look at the timers: the threads that were woken on this core wait for the sleep.
-            if !self.events.state.doorbell.is_pending() {
+            // A stop has rung, and is not pending if it came before the last look.
+            if !self.events.is_stopped() && !self.events.state.doorbell.is_pending() {
                 self.wait_until(None, &mut sleep);
             }
         }

@@ -147,7 +147,6 @@ impl LoadedSystem {
                 () if (&was.node, was.client) != (&is.node, is.client) => "node",
                 () if (old.core, was.floats) != (new.core, is.floats) => "core",
                 () if (&was.group, &was.thread) != (&is.group, &is.thread) => "thread",
-                () if (was.wake_up == WakeUp::Publisher) != (is.wake_up == WakeUp::Publisher) => "wake-up",
                 () if was.reservation.is_some() != is.reservation.is_some() => "kind of scheduling",
                 () if was.overrun != is.overrun => "`overrun`",
                 () if (&was.topics, was.joins, was.window_ns) != (&is.topics, is.joins, is.window_ns) => {
@@ -155,6 +154,7 @@ impl LoadedSystem {
                 }
                 () if was.policy != is.policy => "`policy`",
                 () if old.period_ns != new.period_ns => "period",
+                () if (was.wake_up == WakeUp::Publisher) != (is.wake_up == WakeUp::Publisher) => "wake-up",
                 // Its queue is as deep as it was computed.
                 () if was.depth != is.depth || is.depth.is_none() && queue(old) < queue(new) => {
                     "queue, which has to be deeper"
@@ -218,5 +218,6 @@ fn thread_of(callback: &CheckedCallback) -> CallbackOptions {
     };
     let mut options = options.thread_name(thread);
     options.direct_wake = callback.entry.wake_up == WakeUp::Publisher;
+    options.is_direct_wake_optional = true;
     if callback.entry.floats { options } else { options.core(callback.core) }
 }

@@ -337,7 +337,7 @@ impl Union {
                 group: None,
                 core,
                 priority,
-                wake_up: WakeUp::Sampler("it is in no file"),
+                wake_up: WakeUp::Sampler("as far as is known: it is in no file"),
                 rank: None,
                 reservation: thread.reservation,
                 floats: thread.reservation.is_some() && thread.core.is_none(),

@@ -40,6 +40,7 @@ pub(super) fn build(text: &str) -> Result<SystemFile, Problems> {
     hold(&file, &places, &streams, &problems);
     orders(&file, &places, &threads, &problems);
     reservations::check(&file, &places, &streams, &problems);
+    wake::check(&file, &places, &problems);
     meet(&file, &streams, &problems);
     problems.check()?;
     // Without problems every callback has a place.

@@ -59,7 +59,7 @@ pub(super) struct Group {
     pub order: Option<At<Order>>,
     pub priority: Option<At<u8>>,
     /// Whether publishers wake its thread, if that is stated.
-    pub direct_wake: Option<bool>,
+    pub direct_wake: Option<At<bool>>,
 }
 
 impl Group {

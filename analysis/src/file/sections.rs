@@ -212,7 +212,7 @@ fn group(name: String, mut section: Section<'_>) -> Group {
     let orders = [("fifo", Order::Fifo), ("any", Order::Any), ("priority", Order::Priority)];
     let order = section.choice("order", &orders);
     let priority = priority(&mut section, "priority");
-    let (direct_wake, at) = (section.optional_flag("direct_wake"), section.at);
+    let (direct_wake, at) = (direct_wake(&mut section), section.at);
     section.finish();
     Group { name, at, order, priority, direct_wake }
 }

@@ -2,24 +2,25 @@
 //! Who wakes the thread of a callback.
 //!
 //! Bounds charge each message with the sampler's work, at the highest priority, on the core of the callback that takes it
-//! (`per_message`). A publisher that wakes the thread itself leaves that work out and adds none: it makes one futex wake for each
-//! process that sleeps, of the sampler or of the one thread that is concerned; and where a message concerns several threads of a process,
-//! the sampler still wakes them, so that they run in the order of their priorities. Every other task keeps what delays it. So each bound
-//! that holds with the sampler holds without it, and what decides is whether a thread gains by it, and whether it has a bell.
+//! (`per_message`). A publisher that wakes the thread itself leaves that work out. It wakes the threads that take a topic one after the other,
+//! at its own priority: the first one on its core preempts it, whatever priority the next one has. So publishers wake a thread by themselves
+//! where nobody else takes its topics: then nothing is between the message and that thread, and each bound that holds with the sampler
+//! holds without it.
+
+use std::collections::BTreeMap;
+
 use super::Client;
 use super::declared::Declared;
 use super::places::Place;
 use super::priorities::Thread;
+use super::problem::Collector;
 
 /// Topics that a thread's bell has places for.
 const BELL_TOPICS: usize = 63;
-/// Half of the threads of a process that can have a bell: the program may have others.
-const BELLS: usize = 128;
-
 /// Who wakes the thread of a callback for a message: see docs/wake-ups.md.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum WakeUp {
-    /// The publisher.
+    /// The publisher, as always in `rmw_wait` of ROS 2's executors.
     Publisher,
     /// The sampler of its node, for this reason.
     Sampler(&'static str),
@@ -27,41 +28,64 @@ pub enum WakeUp {
 
 /// Of each thread, in their order.
 pub(super) fn choose(file: &Declared, places: &[Place], threads: &[Thread]) -> Vec<WakeUp> {
-    let node = |thread: &Thread| places[thread.callbacks[0]].node;
-    let mut chosen: Vec<WakeUp> =
-        threads.iter().map(|thread| of_thread(file, node(thread), thread)).collect();
-    for index in 0..file.nodes.len() {
-        let of_node = threads.iter().zip(&mut chosen).filter(|(thread, _)| node(thread) == index);
-        let direct = of_node.filter(|(_, wake_up)| **wake_up == WakeUp::Publisher);
-        let unstated = direct.filter(|(thread, _)| stated(file, thread).is_none());
-        unstated
-            .skip(BELLS)
-            .for_each(|(_, wake_up)| *wake_up = WakeUp::Sampler("its node has too many threads"));
+    let mut takers: BTreeMap<&str, usize> = BTreeMap::new();
+    for thread in threads {
+        let mut topics: Vec<&str> = topics(file, thread).collect();
+        topics.sort_unstable();
+        topics.dedup();
+        topics.into_iter().for_each(|topic| *takers.entry(topic).or_default() += 1);
     }
-    chosen
+    threads.iter().map(|thread| of_thread(file, places, thread, &takers)).collect()
 }
 
-fn stated(file: &Declared, thread: &Thread) -> Option<bool> {
-    match thread.group {
-        Some(group) => file.groups[group].direct_wake,
-        None => file.callbacks[thread.callbacks[0]].direct_wake.as_ref().map(|direct| direct.value),
-    }
+/// What a thread takes and reads.
+fn topics<'f>(file: &'f Declared, thread: &Thread) -> impl Iterator<Item = &'f str> {
+    let callbacks = thread.callbacks.iter().map(|i| &file.callbacks[*i]);
+    callbacks
+        .flat_map(|callback| callback.topics.iter().chain(&callback.reads))
+        .map(|topic| topic.value.as_str())
 }
 
-fn of_thread(file: &Declared, node: usize, thread: &Thread) -> WakeUp {
+fn of_thread(file: &Declared, places: &[Place], thread: &Thread, takers: &BTreeMap<&str, usize>) -> WakeUp {
     let callbacks = || thread.callbacks.iter().map(|i| &file.callbacks[*i]);
-    let topics: usize = callbacks().map(|callback| callback.topics.len() + callback.reads.len()).sum();
-    if file.nodes[node].client != Client::Tautline {
-        return WakeUp::Sampler("an executor of ROS 2 runs it");
+    if file.nodes[places[thread.callbacks[0]].node].client != Client::Tautline {
+        return WakeUp::Publisher;
     }
-    match stated(file, thread) {
+    let stated = match thread.group {
+        Some(group) => file.groups[group].direct_wake.as_ref(),
+        None => file.callbacks[thread.callbacks[0]].direct_wake.as_ref(),
+    };
+    match stated.map(|direct| direct.value) {
         Some(true) => WakeUp::Publisher,
         Some(false) => WakeUp::Sampler("the file says so"),
         // Which the sampler releases: it is there for it anyway.
         None if callbacks().any(|callback| callback.topics.is_empty()) => {
             WakeUp::Sampler("its thread has a timer")
         }
-        None if topics > BELL_TOPICS => WakeUp::Sampler("its thread has more than 63 topics"),
+        None if topics(file, thread).count() > BELL_TOPICS => {
+            WakeUp::Sampler("its thread has more than 63 topics")
+        }
+        None if topics(file, thread).any(|topic| takers[topic] > 1) => {
+            WakeUp::Sampler("another thread takes one of its topics")
+        }
         None => WakeUp::Publisher,
+    }
+}
+
+/// Whether a thread's wake-up is stated where it has a say.
+pub(super) fn check(file: &Declared, places: &[Option<Place>], problems: &Collector) {
+    for (i, callback) in file.callbacks.iter().enumerate() {
+        let group = callback
+            .group
+            .as_ref()
+            .and_then(|name| file.groups.iter().find(|group| group.name == name.value));
+        let stated = group.map_or(callback.direct_wake.as_ref(), |group| group.direct_wake.as_ref());
+        let is_of_ros = places[i].is_some_and(|place| file.nodes[place.node].client != Client::Tautline);
+        if let Some(stated) = stated.filter(|_| is_of_ros) {
+            problems.at(stated.at).add(format!(
+                "callback `{}` is run by an executor of ROS 2's, which publishers wake: leave out `direct_wake`",
+                callback.name
+            ));
+        }
     }
 }

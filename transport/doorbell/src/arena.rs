@@ -14,7 +14,7 @@ use tautline_rt::full_fence;
 use tautline_rt::shm::Region;
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautbell");
-const VERSION: u32 = 8;
+const VERSION: u32 = 7;
 
 /// Number of windows of an arena, including the first one.
 pub const WINDOWS: usize = 12;
@@ -43,8 +43,6 @@ pub enum Sleeper {
 struct Main {
     magic: AtomicU64,
     version: AtomicU32,
-    /// Not 0: see [`Doorbell::order_wakes`](crate::Doorbell::order_wakes).
-    is_ordered: AtomicU32,
     bell: Bell,
     threads: [Bell<1>; THREADS],
     slots: [SlotWords; NEAR_SLOTS],
@@ -310,18 +308,6 @@ impl Arena {
                 Sleeper::Thread(thread)
             }
         })
-    }
-
-    /// Whether the sampler alone is woken for several threads: see [`Doorbell::order_wakes`](crate::Doorbell::order_wakes).
-    ///
-    /// # Real-time
-    /// Wait-free: one load.
-    pub fn is_ordered(&self) -> bool {
-        self.main().is_ordered.load(Ordering::Relaxed) != 0
-    }
-
-    pub(crate) fn order_wakes(&self) {
-        self.main().is_ordered.store(1, Ordering::Relaxed);
     }
 
     /// Wakes the thread that sleeps on a marked bell, unless this process has woken it from that sleep.

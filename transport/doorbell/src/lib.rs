@@ -186,13 +186,6 @@ impl Doorbell {
         Ok(())
     }
 
-    /// From now on a message for several threads that sleep on bells here is announced to the sampler alone, which wakes them all: a
-    /// publisher that woke one after the other would be preempted by the first on its core before it woke the others, whatever their
-    /// priorities. For doorbells whose sampler has the highest priority of the process.
-    pub fn order_wakes(&self) {
-        self.arena.order_wakes();
-    }
-
     /// Claims the exclusive right to drain this doorbell and to sleep on it.
     ///
     /// # Errors

@@ -14,7 +14,7 @@ use std::fs::File;
 use std::io::{self, Read, Write};
 use std::os::fd::{AsFd, AsRawFd, OwnedFd};
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, Once, PoisonError};
+use std::sync::{Mutex, Once};
 use tautline_rt::clock::monotonic_ns;
 
 /// The longest definition that is stored or read. Definitions of ROS 2's own packages are below 20 KB.
@@ -157,17 +157,22 @@ const KEPT_NS: u64 = 1_000_000_000;
 /// nobody: only tools that lack the definition miss it.
 pub(crate) fn keep(topic_type: &TopicType) {
     static SAID: Once = Once::new();
+    // Nobody waits for it, nor does a forked child.
     static KEPT: Mutex<BTreeMap<PathBuf, u64>> = Mutex::new(BTreeMap::new());
     let (Some(hash), Some(definition)) = (&topic_type.hash, &topic_type.definition) else { return };
     let store = SchemaStore::of_user();
     let (path, now_ns) = (store.path().join(&**hash), monotonic_ns());
-    let mut kept = KEPT.lock().unwrap_or_else(PoisonError::into_inner);
-    if kept.get(&path).is_some_and(|kept_ns| now_ns.saturating_sub(*kept_ns) < KEPT_NS) {
+    let is_recent = |kept_ns: &u64| now_ns.saturating_sub(*kept_ns) < KEPT_NS;
+    if KEPT.try_lock().is_ok_and(|kept| kept.get(&path).is_some_and(is_recent)) {
         return;
     }
-    let result = store.keep(hash, definition);
-    if let Err(error) = result.inspect(|()| _ = kept.insert(path, now_ns)) {
-        SAID.call_once(|| {
+    match store.keep(hash, definition) {
+        Ok(()) => {
+            if let Ok(mut kept) = KEPT.try_lock() {
+                kept.insert(path, now_ns);
+            }
+        }
+        Err(error) => SAID.call_once(|| {
             tracing::warn!(
                 "the definition of '{}' cannot be kept in {}: {error}; topics work, but tools that do not know the type \
                  cannot read them: see that the folder is this user's own, of mode 700, on a file system with room (said \
@@ -175,7 +180,7 @@ pub(crate) fn keep(topic_type: &TopicType) {
                 topic_type.name,
                 store.path().display()
             );
-        });
+        }),
     }
 }
 

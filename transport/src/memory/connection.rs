@@ -17,7 +17,7 @@ use iceoryx2_bb_lock_free::spsc::safely_overflowing_index_queue::RelocatableSafe
 use std::io;
 use std::ptr::NonNull;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use tautline_rt::full_fence;
 use tautline_rt::shm::Mapping;
 
@@ -347,22 +347,24 @@ struct Template {
     block_at: usize,
 }
 
-/// Made last, if it is not longer than this: many publishers in a row have queues of one shape.
+/// Made last, if it is not longer than [`KEPT_BYTES`]: many publishers in a row have queues of one shape. Nobody waits for it, so it neither holds up
+/// a thread of higher priority nor a forked child.
 static LAST: Mutex<Option<(isize, Shape, Template)>> = Mutex::new(None);
 const KEPT_BYTES: usize = 64 << 10;
 
 impl Template {
     /// Gives `copy` the queues of a shape whose memory begins so far behind the block.
     fn with(distance: isize, shape: Shape, copy: impl FnOnce(&Template)) -> io::Result<()> {
-        let mut last = LAST.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, _, known)) = last.as_ref().filter(|(of, as_is, _)| (*of, *as_is) == (distance, shape))
-        {
-            copy(known);
-            return Ok(());
-        }
-        let template = Template::new(distance, shape)?;
+        let is_same = |(of, as_is, _): &mut (isize, Shape, Template)| (*of, *as_is) == (distance, shape);
+        let known = LAST.try_lock().ok().and_then(|mut last| last.take_if(is_same));
+        let template = match known {
+            Some((_, _, template)) => template,
+            None => Template::new(distance, shape)?,
+        };
         copy(&template);
-        if template.memory.len_bytes() <= KEPT_BYTES {
+        if template.memory.len_bytes() <= KEPT_BYTES
+            && let Ok(mut last) = LAST.try_lock()
+        {
             *last = Some((distance, shape, template));
         }
         Ok(())

@@ -325,45 +325,6 @@ mod tests {
         assert_eq!(taken.collect::<Vec<_>>(), [1, 2, 3, 1, 2, 3]);
     }
 
-    /// Publishers would wake one after the other, and be preempted by the first.
-    #[test]
-    fn a_message_for_several_threads_wakes_the_sampler_alone() {
-        use tautline_doorbell::Sleeper;
-        crate::tests::isolated();
-        let participant = Participant::new(7).unwrap();
-        let (text, qos, limits) =
-            (TopicType::new("test_msgs/msg/Text"), Qos::keep_last(20), Limits::default());
-        let publisher = participant.create_raw_publisher("/many", &text, qos, limits).unwrap();
-        let doorbell = participant.doorbell().clone();
-        let direct = || {
-            let subscription = participant.create_raw_subscription("/many", &text, qos, limits).unwrap();
-            let bell = doorbell.claim_thread_bell().unwrap();
-            subscription.wake_thread(Some(&bell));
-            (subscription, bell)
-        };
-        let (_one, other) = (direct(), direct());
-        let seat = doorbell.claim_sampler().unwrap();
-        let woken = || {
-            let arena = doorbell.arena();
-            let (mut first, mut second) = (0, 0);
-            let sampler = arena.count_wakes(Sleeper::Sampler, || {
-                first = arena.count_wakes(Sleeper::Thread(0), || {
-                    second = arena.count_wakes(Sleeper::Thread(1), || publisher.publish(&[1; 8]).unwrap());
-                });
-            });
-            (sampler, first + second, seat.drain(|_| ()))
-        };
-        seat.drain(|_| ());
-        assert_eq!(woken(), (0, 2, 0));
-        doorbell.order_wakes();
-        assert_eq!(woken(), (1, 0, 2));
-        other.0.wake_thread(None);
-        assert_eq!(woken(), (1, 0, 2), "one of them is the sampler's");
-        drop(other);
-        seat.drain(|_| ());
-        assert_eq!(woken(), (0, 1, 0), "one thread alone");
-    }
-
     #[test]
     fn what_a_burst_has_queued_before_a_panic_is_rung_for() {
         crate::tests::isolated();

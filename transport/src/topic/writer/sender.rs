@@ -566,45 +566,22 @@ impl PublishState {
     }
 
     /// Rings every subscription that got the sample, but for those that poll by themselves, as observers do, and those that are still
-    /// taking what they were rung for. All are marked before anybody is woken: whoever sleeps for several wakes once, and the sampler wakes
-    /// several threads of its process in [their order](tautline_doorbell::Arena::is_ordered).
+    /// taking what they were rung for. All are marked before anybody is woken: whoever sleeps for several wakes once.
     ///
     /// # Real-time
-    /// Wait-free, O(subscriptions); no allocation; at most one futex wake per process, and in one whose wakes are not ordered per callback
-    /// thread that sleeps and is woken directly.
+    /// Wait-free, O(subscriptions); no allocation; at most one futex wake per sampler that sleeps, and per callback thread that
+    /// sleeps and is woken directly.
     pub(crate) fn ring(&self, to: Option<Gid>) {
         let table = self.table();
         let ringing = || table.receiving(to).filter(|sender| !sender.is_observer);
-        // The first that is to be woken of the arena at hand, and the sleeper. Those of an arena are next to each other.
-        let mut first: Option<(&ReaderChannel, Sleeper)> = None;
+        let mut is_any_marked = false;
         for sender in ringing() {
-            let arena = sender.owner.arena();
-            let marked = arena.mark_sample(sender.slot, sender.is_own);
-            let of_arena = first.filter(|(of, _)| of.owner.arena().id() == arena.id());
-            let sleeper = match (marked, of_arena) {
-                // It wakes with the first.
-                (Some(sleeper), Some((_, woken))) if sleeper == woken => None,
-                (Some(sleeper), Some((of, woken))) if arena.is_ordered() => {
-                    for (of, _) in
-                        [(of, woken), (sender, sleeper)].iter().filter(|(_, to)| *to != Sleeper::Sampler)
-                    {
-                        arena.mark(of.slot);
-                    }
-                    // SAFETY: it is live, so its sending half is this thread's.
-                    unsafe { (*of.half.get()).sleeper = Some(Sleeper::Sampler) };
-                    first = Some((of, Sleeper::Sampler));
-                    None
-                }
-                (Some(sleeper), None) => {
-                    first = Some((sender, sleeper));
-                    marked
-                }
-                _ => marked,
-            };
-            // SAFETY: as above.
-            unsafe { (*sender.half.get()).sleeper = sleeper };
+            // SAFETY: it is live, so its sending half is this thread's.
+            let half = unsafe { &mut *sender.half.get() };
+            half.sleeper = sender.owner.arena().mark_sample(sender.slot, sender.is_own);
+            is_any_marked |= half.sleeper.is_some();
         }
-        if first.is_none() {
+        if !is_any_marked {
             return;
         }
         full_fence();
@@ -613,7 +590,7 @@ impl PublishState {
             // SAFETY: as above.
             let Some(sleeper) = (unsafe { (*sender.half.get()).sleeper }) else { continue };
             let arena = sender.owner.arena();
-            // Which bells they lead to, their threads say at any time.
+            // Those of an arena are next to each other; which bells they lead to, their threads say at any time.
             if last.replace(arena.id()) != Some(arena.id()) {
                 woken = WokenSleepers::default();
             }
