@@ -77,17 +77,6 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
         &self.jobs
     }
 
-    /// A thread waits for it, since `now_ns`.
-    ///
-    /// # Real-time
-    /// As [`with`](Self::with), O(publishers); a load but for the first time.
-    pub(crate) fn wait_for(&self, now_ns: u64) {
-        if self.jobs.is_new() {
-            let early = self.with(|port| port.subscription().waiting());
-            self.jobs.wait_for(now_ns, early);
-        }
-    }
-
     /// The thread that is to run its callback.
     pub(crate) fn thread(&self) -> Option<&Arc<ThreadPlan>> {
         self.jobs.thread.as_ref()

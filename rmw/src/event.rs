@@ -5,7 +5,7 @@ use crate::bindings::*;
 use crate::callback::{Call, EventCallback, Function};
 use crate::distro::{self, *};
 use crate::error::{Error, Result};
-use crate::handle::{IDENTIFIER, check_identifier, check_zero, exported, given};
+use crate::handle::{IDENTIFIER, check_identifier, check_zero, exported, given, present};
 use crate::helper::Helper;
 use crate::qos::policy_to_ros;
 use crate::signal::Signal;
@@ -361,10 +361,11 @@ exported! {
 
     fn rmw_take_event(
         event: *const rmw_event_t,
-        info: *mut c_void => present "the event's information",
+        info: *mut c_void,
         taken: *mut bool => place "taken",
     ) {
         *taken = false;
+        let info = present(info, "the event's information")?;
         // SAFETY: rmw's contract.
         let (kind, slot) = unsafe { target_of(event)? }.slot()?;
         let mut state = slot.state.lock();

@@ -4,7 +4,7 @@
 use crate::bindings::*;
 use crate::distro;
 use crate::error::{Error, Result, checked};
-use crate::handle::{check_allocator, exported};
+use crate::handle::exported;
 use crate::qos;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::{CString, c_char};
@@ -40,21 +40,36 @@ fn fill<'t>(
     Ok(())
 }
 
-/// Fills a list of names, which must be zero, with their types.
+/// Checks an allocator, which here needs no `reallocate`.
+fn check_allocator(allocator: &rcutils_allocator_t) -> Result {
+    let rcutils_allocator_t { allocate, deallocate, zero_allocate, .. } = allocator;
+    match (allocate, deallocate, zero_allocate) {
+        (Some(_), Some(_), Some(_)) => Ok(()),
+        _ => Err(Error::invalid("the allocator is not initialised")),
+    }
+}
+
+/// Checks what [`fill_names`] is to use, before anything is looked up.
+fn check_names(place: &mut rmw_names_and_types_t, allocator: &rcutils_allocator_t) -> Result {
+    check_allocator(allocator)?;
+    // SAFETY: a valid list.
+    match unsafe { rmw_names_and_types_check_zero(place) } {
+        RET_OK => Ok(()),
+        _ => Err(Error::invalid("the list of names is not zero")),
+    }
+}
+
+/// Fills a list of names, checked to be zero, with their types.
 fn fill_names(
     place: &mut rmw_names_and_types_t,
     names: &Names,
     allocator: &mut rcutils_allocator_t,
 ) -> Result {
-    check_allocator(allocator)?;
+    if names.is_empty() {
+        return Ok(());
+    }
     // SAFETY: a valid list; indices are within the requested size.
     unsafe {
-        if rmw_names_and_types_check_zero(place) != RET_OK {
-            return Err(Error::invalid("the list of names is not zero"));
-        }
-        if names.is_empty() {
-            return Ok(());
-        }
         checked(rmw_names_and_types_init(place, names.len(), allocator), "making a list of names")?;
         for (index, (name, types)) in names.iter().enumerate() {
             let copy = rcutils_strdup(c_string(name).as_ptr(), *allocator);
@@ -232,6 +247,7 @@ exported! {
         _no_demangle: bool,
         names: *mut rmw_names_and_types_t => place "the list of names",
     ) {
+        check_names(names, allocator)?;
         fill_names(names, &topics(&*node.participant.graph()?, None, None), allocator)
     }
 
@@ -240,6 +256,7 @@ exported! {
         allocator: *mut rcutils_allocator_t => place "the allocator",
         names: *mut rmw_names_and_types_t => place "the list of names",
     ) {
+        check_names(names, allocator)?;
         fill_names(names, &services(&*node.participant.graph()?, None, None), allocator)
     }
 }
@@ -255,6 +272,7 @@ macro_rules! by_node {
             $($unused: bool,)?
             names: *mut rmw_names_and_types_t => place "the list of names",
         ) {
+            check_names(names, allocator)?;
             let graph = node.participant.graph()?;
             let node = node_of(&graph, name, namespace)?;
             fill_names(names, &$of(&graph, Some($kind), Some(&node)), allocator)

@@ -23,7 +23,7 @@ pub(crate) struct Jobs {
     depth: u64,
     /// Whether the processor time of this process's callbacks is measured, also if nobody traces.
     is_measured: bool,
-    /// Lost messages reported so far, and early ones that may still be lost.
+    /// Lost messages reported so far.
     noted: AtomicU64,
     /// The callback's rank, if its thread is to run the highest first.
     pub(crate) rank: Option<u8>,
@@ -99,12 +99,10 @@ impl Jobs {
         self.awaited_ns.load(Ordering::Relaxed) == 0
     }
 
-    /// A thread waits for it, since `now_ns`. Losses of the `early` messages that are not taken yet are no losses.
-    pub(crate) fn wait_for(&self, now_ns: u64, early: u64) {
+    /// A thread waits for it, since `now_ns`.
+    pub(crate) fn wait_for(&self, now_ns: u64) {
         // Whoever came first.
-        if self.awaited_ns.compare_exchange(0, now_ns, Ordering::Relaxed, Ordering::Relaxed).is_ok() {
-            self.noted.fetch_max(self.counters.lost().saturating_add(early), Ordering::Relaxed);
-        }
+        let _ = self.awaited_ns.compare_exchange(0, now_ns, Ordering::Relaxed, Ordering::Relaxed);
     }
 
     /// Whether nobody had waited for it when its message was released. That has waited for its program to spin, which no bound contains.
@@ -123,11 +121,6 @@ impl Jobs {
         }
         let released = (!self.is_early(released_ns)).then_some(released_ns);
         if let Some(measured) = &self.measured {
-            if released.is_none() {
-                // An early one that was not lost.
-                let one_less = |noted: u64| noted.checked_sub(1);
-                let _ = self.noted.fetch_update(Ordering::Relaxed, Ordering::Relaxed, one_less);
-            }
             let lost = self.counters.lost();
             let before = self.noted.fetch_max(lost, Ordering::Relaxed);
             let (lost, max_queue) = (lost.saturating_sub(before), self.counters.max_queue());

@@ -248,6 +248,18 @@ fn what_is_null_unknown_or_somebody_elses_is_an_error_with_a_text() {
             RET_INVALID_ARGUMENT
         );
         assert!(said().contains("name"));
+        let (no, mut allocator) = (rcutils_allocator_t::default(), rcutils_get_default_allocator());
+        for (mut allocator, answer) in [(no, RET_INVALID_ARGUMENT), (allocator, RET_NODE_NAME_NON_EXISTENT)] {
+            let mut names = rmw_get_zero_initialized_names_and_types();
+            let services = graph::rmw_get_service_names_and_types_by_node;
+            let (absent, root) = (c"absent".as_ptr(), c"/".as_ptr());
+            assert_eq!(services(world.node, &mut allocator, absent, root, &mut names), answer, "{}", said());
+        }
+        allocator.reallocate = None;
+        let mut names = rmw_get_zero_initialized_names_and_types();
+        let listed = graph::rmw_get_service_names_and_types(world.node, &mut allocator, &mut names);
+        assert_eq!(listed, RET_OK, "there are none: {}", said());
+        said();
         assert_eq!(publisher::rmw_publish(null(), null(), null_mut()), RET_INVALID_ARGUMENT);
         assert_eq!(client::rmw_send_request(null(), null(), null_mut()), RET_INVALID_ARGUMENT);
         assert_eq!(guard::rmw_trigger_guard_condition(null()), RET_INVALID_ARGUMENT);
@@ -259,6 +271,11 @@ fn what_is_null_unknown_or_somebody_elses_is_an_error_with_a_text() {
         let publisher = world.publisher(of, &profile(1));
         let kind = RMW_EVENT_MESSAGE_LOST;
         assert_eq!(event::rmw_publisher_event_init(&mut event, publisher, kind), RET_UNSUPPORTED);
+        let kind = RMW_EVENT_OFFERED_DEADLINE_MISSED;
+        assert_eq!(event::rmw_publisher_event_init(&mut event, publisher, kind), RET_OK);
+        let mut taken = true;
+        let answer = event::rmw_take_event(&event, null_mut(), &mut taken);
+        assert_eq!((answer, taken), (RET_INVALID_ARGUMENT, false));
         assert_eq!(publisher::rmw_destroy_publisher(world.node, publisher), RET_OK);
         said();
     }

@@ -223,9 +223,7 @@ impl WaitEntities<'_> {
         thread::govern(jobs.filter_map(|jobs| jobs.thread.as_ref()))?;
         if has_new {
             let now_ns = monotonic_ns();
-            self.subscriptions().for_each(|subscription| subscription.end().wait_for(now_ns));
-            self.services().for_each(|service| service.end().wait_for(now_ns));
-            self.clients().for_each(|client| client.end().wait_for(now_ns));
+            self.jobs().for_each(|jobs| jobs.wait_for(now_ns));
         }
         Ok(())
     }
