@@ -30,7 +30,7 @@ struct Profile {
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum Policy {
-    Number(usize),
+    Number(i64),
     Name(String),
 }
 
@@ -42,15 +42,17 @@ struct Span {
 
 impl Policy {
     fn name(&self, names: &[&'static str]) -> Result<&'static str, String> {
-        let found = match self {
-            Policy::Number(number) => names.get(*number),
-            Policy::Name(name) => names.iter().find(|known| **known == name.to_ascii_lowercase()),
-        };
-        let said = || match self {
-            Policy::Number(number) => number.to_string(),
-            Policy::Name(name) => format!("'{name}'"),
-        };
-        found.copied().ok_or_else(|| format!("{} is none of {}", said(), names.join(", ")))
+        match self {
+            // Of a ROS 2 that has more of them.
+            Policy::Number(number) => {
+                let known = usize::try_from(*number).ok().and_then(|number| names.get(number));
+                Ok(known.copied().unwrap_or("unknown"))
+            }
+            Policy::Name(name) => {
+                let known = names.iter().find(|known| **known == name.to_ascii_lowercase());
+                known.copied().ok_or_else(|| format!("'{name}' is none of {}", names.join(", ")))
+            }
+        }
     }
 }
 
@@ -119,7 +121,11 @@ mod tests {
         let other = in_words(&text.replace("depth: 7", "depth: 8")).unwrap();
         assert_eq!(joined(text, &other), format!("{words}{other}"));
         assert_eq!((joined(&words, text), joined("- [", text)), (words.clone(), words.clone()));
-        for wrong in ["x", "- depth: 1", "- [", &text.replace("history: 1", "history: 9")] {
+        for unknown in ["9", "-1"] {
+            let words = in_words(&text.replace("history: 1", &format!("history: {unknown}"))).unwrap();
+            assert!(words.starts_with("- history: unknown\n"), "{words}");
+        }
+        for wrong in ["x", "- depth: 1", "- [", &text.replace("history: 1", "history: some")] {
             assert!(in_words(wrong).is_err(), "{wrong}");
         }
     }

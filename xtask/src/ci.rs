@@ -87,8 +87,8 @@ pub fn run(steps: &mut Steps, scope: &Scope) {
     let book = Job::Book.start();
     rest_of_tests(steps);
     bridge::test(steps);
-    rmw::test(steps);
-    dist::test(steps);
+    let has_rmw = rmw::test(steps);
+    dist::test(steps, has_rmw);
     steps.join(book);
     clock_step(steps);
     programs::test(steps);
@@ -119,8 +119,8 @@ pub fn run(steps: &mut Steps, scope: &Scope) {
     }
     // The library of the build is Kilted's from here on. Its tests have threads of real-time priorities, beside which nothing is measured.
     ros::choose(Distribution::Kilted);
-    rmw::test(steps);
-    dist::test_rmw(steps);
+    let has_rmw = rmw::test(steps);
+    dist::test_rmw(steps, has_rmw);
     bridge::test(steps);
     miri(steps);
     steps.step("versions", release::beside_another_version);

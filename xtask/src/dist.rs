@@ -72,48 +72,66 @@ pub fn run(
     let is_usual = |part: &Part| architecture.is_here() || part.has_programs();
     let all: Vec<_> = Part::value_variants().iter().copied().filter(is_usual).collect();
     let named = if named.is_empty() { &all } else { named };
-    let made = |of: Distribution| named.iter().copied().filter(move |part| part.is_made(architecture, of));
-    if distributions.iter().all(|of| made(*of).next().is_none()) {
+    for part in not_made(named, architecture, distributions) {
         let distributions = distributions.iter().map(|of| word(*of)).collect::<Vec<_>>().join(" and ");
-        return steps.skip("dist", &format!("it is not made for {architecture} and {distributions}"));
+        let reason = format!("it is not made for {architecture} and {distributions}");
+        steps.skip(&format!("dist: {}", word(part)), &reason);
     }
+    let made = |of: Distribution| named.iter().copied().filter(move |part| part.is_made(architecture, of));
     // One for all builds, which otherwise build what they share in turns.
-    r2r::prepare_libclang(steps, named.iter().any(|part| part.has_rmw()));
+    let has_rmw = distributions.iter().any(|of| made(*of).any(Part::has_rmw));
+    r2r::prepare_libclang(steps, has_rmw);
     for of in distributions {
         ros::choose(*of);
         let parts: Vec<_> = made(*of).collect();
         if !parts.is_empty() {
-            run_chosen(steps, &parts, architecture, is_verified);
+            run_chosen(steps, parts, architecture, is_verified);
         }
     }
 }
 
+/// Those of the named parts that none of these distributions has for this architecture.
+fn not_made(named: &[Part], architecture: Architecture, of: &[Distribution]) -> impl Iterator<Item = Part> {
+    let named = named.iter().copied();
+    named.filter(move |part| !of.iter().any(|of| part.is_made(architecture, *of)))
+}
+
 /// The same for the chosen ROS 2.
-fn run_chosen(steps: &mut Steps, parts: &[Part], architecture: Architecture, is_verified: bool) {
+fn run_chosen(steps: &mut Steps, mut parts: Vec<Part>, architecture: Architecture, is_verified: bool) {
     if parts.iter().any(|part| part.has_rmw()) {
-        steps.step(&ros::step("dist: build rmw_tautline"), || match architecture.is_here() {
+        let is_built = steps.step(&ros::step("dist: build rmw_tautline"), || match architecture.is_here() {
             true => rmw::build_for_use().map(drop),
             false => rmw::cross::build(architecture),
         });
+        leave_out(steps, &mut parts, is_built, Part::has_rmw);
     }
     if parts.iter().any(|part| part.has_programs()) {
-        if architecture.is_here() {
-            steps.command("dist: build", &mut build(&machine::root(), &machine::target_dir()));
+        let is_built = if architecture.is_here() {
+            steps.command("dist: build", &mut build(&machine::root(), &machine::target_dir()))
         } else {
             // Those of another machine do not print their manual pages here.
             let pages = "build -p taut -p taut-bag -p taut-top -p taut-filter";
-            steps.command("dist: build for manual pages", &mut cargo(&format!("{pages} {SAME}")));
+            let has_pages =
+                steps.command("dist: build for manual pages", &mut cargo(&format!("{pages} {SAME}")));
             steps.step(&format!("dist: build for {architecture}"), || {
                 let mut command = build(&machine::root(), &debian::folder().join("build"));
                 command.args(["--target", &architecture.triple()]).envs(debian::compiler(architecture)?);
                 execute(&mut command)
-            });
-        }
-        if is_verified {
+            }) && has_pages
+        };
+        if is_built && is_verified {
             steps.step("dist: verify", verify);
         }
+        leave_out(steps, &mut parts, is_built, Part::has_programs);
     }
     Dist { architecture, ..Dist::new(Build::Release) }.make(steps, parts);
+}
+
+/// Unless what they need is there, leaves these parts out: that of an earlier build, perhaps for another ROS 2, would be packed.
+fn leave_out(steps: &mut Steps, parts: &mut Vec<Part>, is_there: bool, needs: fn(Part) -> bool) {
+    for part in parts.extract_if(.., |part| !is_there && needs(*part)) {
+        steps.skip(&ros::step(&format!("dist: {}", word(part))), "what it is made of was not built");
+    }
 }
 
 /// Builds the programs of the repository in `root`. No path of this machine is in them: in any folder the same commit becomes the same bytes.
@@ -153,23 +171,29 @@ fn verify() -> Result<(), String> {
     Ok(())
 }
 
-/// What CI makes, of the tests' build; then it is installed and used.
-pub fn test(steps: &mut Steps) {
+/// What CI makes, of the tests' build; then it is installed and used. `has_rmw`: the build has the library of the chosen ROS 2.
+pub fn test(steps: &mut Steps, has_rmw: bool) {
     let dist = Dist::new(Build::Tests);
-    dist.make(steps, &[Part::Tarball, Part::Deb, Part::Wheel, Part::RmwWheel, Part::RmwDeb]);
+    let mut parts = vec![Part::Tarball, Part::Deb, Part::Wheel, Part::RmwWheel, Part::RmwDeb];
+    leave_out(steps, &mut parts, has_rmw, Part::has_rmw);
+    dist.make(steps, parts);
     pages::test(steps, &dist.out);
 }
 
-/// What there is for each ROS 2, of the chosen one: the build has its library now.
-pub fn test_rmw(steps: &mut Steps) {
+/// What there is for each ROS 2, of the chosen one.
+pub fn test_rmw(steps: &mut Steps, has_rmw: bool) {
     let dist = Dist::new(Build::Tests);
-    dist.make(steps, &[Part::RmwDeb]);
-    steps.step(&ros::step("dist: rmw_tautline's .deb"), || Outcome::from(dist.use_rmw_deb()).unless_ci());
+    let mut parts = vec![Part::RmwDeb];
+    leave_out(steps, &mut parts, has_rmw, Part::has_rmw);
+    dist.make(steps, parts);
+    if has_rmw {
+        steps.step(&ros::step("dist: rmw_tautline's .deb"), || Outcome::from(dist.use_rmw_deb()).unless_ci());
+    }
 }
 
 /// The crates, while something else waits: with the crates that examples have been checked with.
 pub fn test_crates(steps: &mut Steps) {
-    Dist::new(Build::Tests).make(steps, &[Part::Crates]);
+    Dist::new(Build::Tests).make(steps, vec![Part::Crates]);
 }
 
 impl Part {
@@ -219,7 +243,7 @@ impl Dist {
         newest_glibc(&self.architecture.tool("objdump"), files, NEWEST_GLIBC)
     }
 
-    fn make(&self, steps: &mut Steps, parts: &[Part]) {
+    fn make(&self, steps: &mut Steps, mut parts: Vec<Part>) {
         let mut glibc = NEWEST_GLIBC;
         if parts.iter().any(|part| part.has_programs()) {
             let files = || {
@@ -230,11 +254,13 @@ impl Dist {
                 println!("the programs need glibc {}.{}", glibc.0, glibc.1);
                 Ok::<(), String>(())
             };
-            if !steps.step("dist: files", files) {
-                return steps.skip("dist", "there are no files to pack");
-            }
+            let are_there = steps.step("dist: files", files);
+            leave_out(steps, &mut parts, are_there, Part::has_programs);
         }
-        for part in parts {
+        if parts.is_empty() {
+            return;
+        }
+        for part in &parts {
             let name = ros::step(&format!("dist: {}", word(*part)));
             steps.step(&name, || match part {
                 Part::Crates => crates::make(&self.out, self.of).into(),
@@ -366,6 +392,32 @@ fn needed(table: &str) -> impl Iterator<Item = (Version, &str)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_named_part_that_no_distribution_has_is_told() {
+        let named = [Part::Deb, Part::RmwWheel, Part::RmwDeb];
+        let of = |distributions: &[Distribution]| {
+            let left: Vec<_> = not_made(&named, Architecture::here(), distributions).collect();
+            left
+        };
+        assert!(of(&[Distribution::Jazzy, Distribution::Kilted]).is_empty());
+        assert!(of(&[Distribution::Kilted]) == [Part::Deb, Part::RmwWheel]);
+        if !Architecture::Arm64.is_here() {
+            assert!(not_made(&named, Architecture::Arm64, &[Distribution::Jazzy]).eq([Part::RmwWheel]));
+        }
+    }
+
+    #[test]
+    fn what_was_not_built_is_not_packed() {
+        let mut parts = vec![Part::Crates, Part::Deb, Part::RmwWheel, Part::RmwDeb];
+        let whole = parts.clone();
+        leave_out(&mut Steps::new(), &mut parts, true, Part::has_rmw);
+        assert!(parts == whole);
+        leave_out(&mut Steps::new(), &mut parts, false, Part::has_rmw);
+        assert!(parts == [Part::Crates, Part::Deb]);
+        leave_out(&mut Steps::new(), &mut parts, false, Part::has_programs);
+        assert!(parts == [Part::Crates]);
+    }
 
     #[test]
     fn symbols_have_the_version_of_glibc_that_has_them() {

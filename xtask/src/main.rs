@@ -359,7 +359,7 @@ fn main() -> ExitCode {
         }
         Verb::Rmw { test, ros: Ros { distro } } => {
             ros::choose(distro);
-            if test { as_steps_with_ros(rmw::test) } else { exit(rmw::run()) }
+            if test { as_steps_with_ros(|steps| _ = rmw::test(steps)) } else { exit(rmw::run()) }
         }
         Verb::Peers(Ros { distro }) => {
             ros::choose(distro);

@@ -66,14 +66,15 @@ pub fn run() -> Result<(), String> {
 }
 
 /// Without a ROS 2 it is left out, which is said; but not in CI. With another than the usual one also what needs builds that this one
-/// replaces, or two distributions.
-pub fn test(steps: &mut Steps) {
-    let Some(environment) = r2r::environment_of(steps, &ros::step("rmw")) else { return };
+/// replaces, or two distributions. Says whether the build has the chosen one's library.
+pub fn test(steps: &mut Steps) -> bool {
+    let Some(environment) = r2r::environment_of(steps, &ros::step("rmw")) else { return false };
     let is_second = ros::chosen() != Distribution::default();
     if is_second {
         headers::test(steps, &environment);
     }
-    lints::build_with(steps, &ros::step("rmw: build and lints"), &format!("{WHOLE} {TARGETS}"), |command| {
+    let step = ros::step("rmw: build and lints");
+    let is_built = lints::build_with(steps, &step, &format!("{WHOLE} {TARGETS}"), |command| {
         with_libraries(&environment, command)
     });
     if is_second {
@@ -84,6 +85,7 @@ pub fn test(steps: &mut Steps) {
     steps.step(&ros::step("rmw: zenoh-ros2-sdk"), peers::prepare);
     let mut tests = lints::cargo(&nextest(WHOLE));
     steps.command(&ros::step("rmw: tests"), with_libraries(&environment, &mut tests));
+    is_built
 }
 
 /// The library that was built last does not start in another distribution, and says so.

@@ -33,7 +33,7 @@ pub fn write(qos: &Qos) -> String {
 /// joiner gets what all of them had kept.
 ///
 /// # Errors
-/// The text is not such a list.
+/// The text is not such a list, or it has a policy that Tautline does not have.
 pub fn read(text: &str) -> Result<Qos, String> {
     let words = tautline_bag::in_words(text)?;
     let offers: Vec<Offer> = serde_saphyr::from_str(&words).map_err(|error| error.to_string())?;
@@ -65,7 +65,8 @@ pub fn read(text: &str) -> Result<Qos, String> {
             .chain(other.liveliness_lease_duration)
             .min(),
     };
-    Ok(offers.iter().map(Offer::qos).reduce(strongest).unwrap_or_default())
+    let each = offers.iter().map(Offer::qos);
+    each.reduce(|one, other| Ok(strongest(one?, other?))).unwrap_or_else(|| Ok(Qos::default()))
 }
 
 #[derive(Deserialize)]
@@ -95,23 +96,34 @@ impl Span {
     }
 }
 
+/// Whether this is the second of two policies; the system's default and unknown ones are the first.
+fn is_second(found: &str, [first, second]: [&str; 2]) -> Result<bool, String> {
+    match found {
+        _ if found == second => Ok(true),
+        _ if found == first || ["system_default", "unknown"].contains(&found) => Ok(false),
+        _ => Err(format!("'{found}' is neither {first} nor {second}")),
+    }
+}
+
 impl Offer {
-    /// The system's defaults, and policies that Tautline does not have, are those of a reliable publisher that keeps nothing for late joiners.
-    fn qos(&self) -> Qos {
+    fn qos(&self) -> Result<Qos, String> {
         // A depth of 0 stands for the system's default, which the bag does not state.
         let depth = if self.depth == 0 { Qos::default().depth } else { self.depth as usize };
         let depth = depth.min(Limits::MAX_DEPTH);
-        let qos = if self.history == "keep_all" { Qos::keep_all(depth) } else { Qos::keep_last(depth) };
-        let qos = if self.reliability == "best_effort" { qos.best_effort() } else { qos };
-        let qos = if self.durability == "transient_local" { qos.transient_local() } else { qos };
-        let is_manual = self.liveliness == "manual_by_topic";
-        Qos {
+        let keeps_all = is_second(&self.history, ["keep_last", "keep_all"])?;
+        let qos = if keeps_all { Qos::keep_all(depth) } else { Qos::keep_last(depth) };
+        let is_best_effort = is_second(&self.reliability, ["reliable", "best_effort"])?;
+        let qos = if is_best_effort { qos.best_effort() } else { qos };
+        let is_kept = is_second(&self.durability, ["volatile", "transient_local"])?;
+        let qos = if is_kept { qos.transient_local() } else { qos };
+        let is_manual = is_second(&self.liveliness, ["automatic", "manual_by_topic"])?;
+        Ok(Qos {
             deadline: self.deadline.get(),
             lifespan: self.lifespan.get(),
             liveliness: if is_manual { Liveliness::ManualByTopic } else { Liveliness::Automatic },
             liveliness_lease_duration: self.liveliness_lease_duration.get(),
             ..qos
-        }
+        })
     }
 }
 
@@ -149,8 +161,29 @@ mod tests {
         let text = text.replace("history: 3", "history: 2").replace("depth: 0", "depth: 4");
         let text = text.replace("reliability: 1", "reliability: 2").replace("durability: 2", "durability: 1");
         assert_eq!(read(&text), Ok(Qos::keep_all(4).best_effort().transient_local()));
+        for (number, expected) in [
+            ("history: 2", Qos { history: History::KeepLast, ..read(&text).unwrap() }),
+            ("reliability: 2", Qos { reliability: Reliability::Reliable, ..read(&text).unwrap() }),
+            ("durability: 1", Qos { durability: Durability::Volatile, ..read(&text).unwrap() }),
+            ("liveliness: 1", read(&text).unwrap()),
+        ] {
+            let (name, _) = number.split_once(':').unwrap();
+            for unknown in ["9", "-1"] {
+                let text = text.replace(number, &format!("{name}: {unknown}"));
+                assert_eq!(read(&text), Ok(expected), "{text}");
+            }
+        }
         for wrong in ["x", "- depth: 1", "- [", &text.replace("history: 2", "history: some")] {
             assert!(read(wrong).is_err(), "{wrong}");
+        }
+        for (number, word) in [
+            ("reliability: 2", "reliability: best_available"),
+            ("durability: 1", "durability: best_available"),
+            ("liveliness: 1", "liveliness: manual_by_node"),
+            ("liveliness: 1", "liveliness: best_available"),
+        ] {
+            let refusal = read(&text.replace(number, word)).unwrap_err();
+            assert!(refusal.contains(word.split_once(": ").unwrap().1), "{refusal}");
         }
     }
 }
