@@ -146,9 +146,10 @@ fn flow(
 /// The least and the most Hz that so many messages in a row can have had between two looks; a machine that has no time lets them come late, and
 /// then at once.
 fn slowest_and_fastest(sent: &[[u64; 2]], messages: usize) -> [f64; 2] {
+    let messages = messages.max(1);
     let longest = sent.windows(messages + 2).map(|sent| sent[messages + 1][1] - sent[0][0]).max();
     let shortest = sent.windows(messages).map(|sent| sent[messages - 1][0].saturating_sub(sent[0][1])).min();
-    [messages as f64 / longest.unwrap() as f64, (messages - 1) as f64 / shortest.unwrap() as f64]
+    [messages as f64 / longest.unwrap_or(u64::MAX) as f64, (messages - 1) as f64 / shortest.unwrap() as f64]
         .map(|rate| rate * 1e9)
 }
 
