@@ -33,8 +33,8 @@ type Span = (u64, u64);
 const UNTIL: u64 = 100_000;
 /// What rcl's wait and take may use for a callback, beyond which a job is late.
 const EXECUTOR: u64 = 60;
-/// By how much the publishing thread may be late, which the file states as jitter.
-const LATENESS: u64 = 200;
+/// By how much the publishing thread may be late, which the file states as jitter: timers of a virtual machine are now and then half as late.
+const LATENESS: u64 = 1_000;
 /// Of the thread that sees, just above the executors, when the core is had.
 const WATCH_PRIORITY: u8 = 20;
 
