@@ -186,7 +186,7 @@ impl Subscription {
 }
 
 /// Writes what was taken, if anything was.
-fn tell(found: Option<rmw_message_info_t>, taken: &mut bool, info: Option<&mut rmw_message_info_t>) {
+fn report_take(found: Option<rmw_message_info_t>, taken: &mut bool, info: Option<&mut rmw_message_info_t>) {
     *taken = found.is_some();
     if let (Some(found), Some(info)) = (found, info) {
         *info = found;
@@ -200,7 +200,7 @@ exported! {
         taken: *mut bool => place "taken",
         _allocation: *mut rmw_subscription_allocation_t,
     ) {
-        tell(subscription.take_loan(message)?, taken, None);
+        report_take(subscription.take_loan(message)?, taken, None);
         Ok(())
     }
 
@@ -211,7 +211,7 @@ exported! {
         info: *mut rmw_message_info_t => place "the information",
         _allocation: *mut rmw_subscription_allocation_t,
     ) {
-        tell(subscription.take_loan(message)?, taken, Some(info));
+        report_take(subscription.take_loan(message)?, taken, Some(info));
         Ok(())
     }
 
@@ -297,7 +297,7 @@ exported! {
         _allocation: *mut rmw_subscription_allocation_t,
     ) {
         // SAFETY: rmw's contract.
-        tell(unsafe { subscription.take_message(message)? }, taken, None);
+        report_take(unsafe { subscription.take_message(message)? }, taken, None);
         Ok(())
     }
 
@@ -309,7 +309,7 @@ exported! {
         _allocation: *mut rmw_subscription_allocation_t,
     ) {
         // SAFETY: rmw's contract.
-        tell(unsafe { subscription.take_message(message)? }, taken, Some(info));
+        report_take(unsafe { subscription.take_message(message)? }, taken, Some(info));
         Ok(())
     }
 
@@ -353,7 +353,7 @@ exported! {
         _allocation: *mut rmw_subscription_allocation_t,
     ) {
         // SAFETY: rmw's contract.
-        tell(unsafe { subscription.take_serialized(message)? }, taken, None);
+        report_take(unsafe { subscription.take_serialized(message)? }, taken, None);
         Ok(())
     }
 
@@ -365,7 +365,7 @@ exported! {
         _allocation: *mut rmw_subscription_allocation_t,
     ) {
         // SAFETY: rmw's contract.
-        tell(unsafe { subscription.take_serialized(message)? }, taken, Some(info));
+        report_take(unsafe { subscription.take_serialized(message)? }, taken, Some(info));
         Ok(())
     }
 

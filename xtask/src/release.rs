@@ -156,8 +156,8 @@ fn git(arguments: &str) -> Command {
     command
 }
 
-fn stdout_of(command: &mut Command) -> Result<String, String> {
-    let output = command.output().map_err(|error| format!("git: {error}"))?;
+pub fn stdout_of(command: &mut Command) -> Result<String, String> {
+    let output = command.output().map_err(|error| format!("{}: {error}", command.get_program().display()))?;
     if output.status.success() {
         return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
     }

@@ -105,7 +105,7 @@ pub fn message_types() -> ArgValueCompleter {
         if !its_own.is_empty() {
             return Some(its_own);
         }
-        Some(bare(known(asked)?.filter(|name| name.kind() == Kind::Msg)))
+        Some(bare(known_types(asked)?.filter(|name| name.kind() == Kind::Msg)))
     })
 }
 
@@ -206,21 +206,23 @@ pub fn action_types() -> ArgValueCompleter {
 }
 
 /// The types that `taut interface list` lists.
-fn known(asked: &Asked) -> Option<impl Iterator<Item = TypeName> + use<>> {
+fn known_types(asked: &Asked) -> Option<impl Iterator<Item = TypeName> + use<>> {
     let folders: Vec<PathBuf> = asked.line.options("path").map(PathBuf::from).collect();
     Some(Finder::new(&folders).in_domain(asked.line.domain()?).list().ok()?.into_iter())
 }
 
 /// The packages that have types.
 pub fn packages() -> ArgValueCompleter {
-    completer(|asked, _| Some(known(asked)?.map(|name| (name.package().to_owned(), String::new())).collect()))
+    completer(|asked, _| {
+        Some(known_types(asked)?.map(|name| (name.package().to_owned(), String::new())).collect())
+    })
 }
 
 /// Known types, or files with definitions.
 pub fn interfaces() -> ArgValueCompleter {
     ArgValueCompleter::new(|word: &OsStr| match word.to_str() {
         Some(text) if !text.starts_with(['.', '/', '~']) => {
-            let found = offered(|asked, _| Some(bare(known(asked)?)), word).unwrap_or_default();
+            let found = offered(|asked, _| Some(bare(known_types(asked)?)), word).unwrap_or_default();
             if found.is_empty() { PathCompleter::any().complete(word) } else { found }
         }
         _ => PathCompleter::any().complete(word),

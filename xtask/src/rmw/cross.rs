@@ -6,7 +6,8 @@ use super::LIBRARY;
 use crate::build;
 use crate::guests::Architecture;
 use crate::guests::debian;
-use crate::steps::{self, Outcome, cargo, execute};
+use crate::release::stdout_of;
+use crate::steps::{Outcome, cargo, execute};
 use crate::{packages, r2r, ros};
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
@@ -35,7 +36,7 @@ pub fn build(architecture: Architecture) -> Result<(), String> {
     command.envs(debian::compiler(architecture)?).envs(r2r::libclang()?);
     command.env("AMENT_PREFIX_PATH", prefix).env("ROS_DISTRO", ros::distribution()).env_remove(r2r::RPATH);
     // Where Debian has the other machine's headers, and its compiler its own.
-    let own = said_by(&architecture.tool("gcc"), &["-print-file-name=include"])?;
+    let own = stdout_of(Command::new(architecture.tool("gcc")).arg("-print-file-name=include"))?;
     let includes = format!("-I{} -I/usr/{}-linux-gnu/include", own.trim(), architecture.name());
     command.env(format!("BINDGEN_EXTRA_CLANG_ARGS_{}", triple.replace('-', "_")), includes);
     build::build(&mut command)
@@ -58,7 +59,7 @@ int main(void) {
     let (source, load) = (prefix.join("load.c"), prefix.join("load"));
     fs::write(&source, LOAD).map_err(|error| format!("{}: {error}", source.display()))?;
     execute(Command::new(&gcc).arg("-o").arg(&load).arg(&source).arg("-Wl,-rpath,$ORIGIN"))?;
-    let cpp = said_by(&gcc, &["-print-file-name=libstdc++.so.6"])?;
+    let cpp = stdout_of(Command::new(&gcc).arg("-print-file-name=libstdc++.so.6"))?;
     let mut all = vec![
         ("load".to_owned(), load),
         ("librmw_tautline.so".to_owned(), library.to_owned()),
@@ -79,11 +80,12 @@ fn make_prefix(architecture: Architecture) -> Result<PathBuf, String> {
     symlink(here.join("include"), prefix.join("include")).map_err(say)?;
     for name in LINKED {
         let library = here.join("lib").join(name).with_extension("so");
-        let path = &library.display().to_string();
-        let names = said_by("nm", &["--dynamic", "--defined-only", "--format=posix", path])?;
+        let names = stdout_of(
+            Command::new("nm").args(["--dynamic", "--defined-only", "--format=posix"]).arg(&library),
+        )?;
         let source = lib.join(name).with_extension("s");
         fs::write(&source, assembly(&names)).map_err(say)?;
-        let said = said_by("objdump", &["-p", path])?;
+        let said = stdout_of(Command::new("objdump").arg("-p").arg(&library))?;
         let soname = said.lines().find_map(|line| line.trim().strip_prefix("SONAME")).unwrap_or_default();
         let soname = soname.trim();
         let mut linker = Command::new(architecture.tool("gcc"));
@@ -111,16 +113,6 @@ fn assembly(names: &str) -> String {
         })
     };
     names.lines().filter_map(symbol).collect()
-}
-
-fn said_by(program: &str, arguments: &[&str]) -> Result<String, String> {
-    let mut command = Command::new(program);
-    steps::announce(command.args(arguments));
-    let output = command.output().map_err(|error| format!("{program} (Debian: binutils): {error}"))?;
-    match output.status.success() {
-        true => Ok(String::from_utf8_lossy(&output.stdout).into_owned()),
-        false => Err(String::from_utf8_lossy(&output.stderr).trim().to_owned()),
-    }
 }
 
 #[cfg(test)]
