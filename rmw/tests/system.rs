@@ -884,7 +884,8 @@ if not heard:
 executor.spin()
 "#;
 
-/// Ten unchanged nodes of rclpy, each in its own process, keep what `taut check` says of them. What the host took may explain the rest.
+/// Ten unchanged nodes of rclpy, each in its own process, keep what `taut check` says of them. What the host took may explain the rest. Python uses
+/// 1 ms for a message on a quiet machine, and ten times as much where a virtual machine gets its core late and does not say so.
 #[test]
 fn a_graph_of_ten_nodes_keeps_its_bounds() {
     let Some(domain) = seen(97).filter(|_| may_be_realtime()) else { return };
@@ -913,7 +914,7 @@ fn a_graph_of_ten_nodes_keeps_its_bounds() {
         let publishes =
             if published.is_empty() { String::new() } else { format!("publishes = [{published:?}]\n") };
         text += &format!(
-            "[nodes.{node}]\nclient = \"rclpy\"\n[callbacks.{node}]\nnode = \"{node}\"\n{trigger}\n{publishes}wcet = \"5ms\"\npriority = {priority}\n"
+            "[nodes.{node}]\nclient = \"rclpy\"\n[callbacks.{node}]\nnode = \"{node}\"\n{trigger}\n{publishes}wcet = \"12ms\"\npriority = {priority}\n"
         );
         for topic in heard.split_whitespace() {
             if !text.contains(&format!("[topics.{topic:?}]")) {

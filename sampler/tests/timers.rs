@@ -13,12 +13,12 @@ use futures::executor::LocalPool;
 use futures::task::LocalSpawnExt;
 use std::cell::RefCell;
 use std::rc::Rc;
-use std::sync::mpsc;
-use std::task::{Context, Poll, Waker};
+use std::sync::{Arc, mpsc};
+use std::task::{Context, Poll, Wake, Waker};
 use std::time::Duration;
 use tautline_rt::ThreadBuilder;
 use tautline_rt::clock::monotonic_ns;
-use tautline_sampler::{Sampler, Sleep, Tick, Timer, Wait};
+use tautline_sampler::{Events, Sampler, Sleep, Tick, Timer, Wait};
 use tautline_transport::Participant;
 
 const MS: u64 = 1_000_000;
@@ -214,6 +214,34 @@ fn stopped_from_another_thread_and_before_it_began() {
     let events = thread.events().clone();
     drop(thread);
     assert!(events.is_stopped());
+}
+
+/// Stops the sampler when it is woken.
+struct Stop(Events);
+
+impl Wake for Stop {
+    fn wake(self: Arc<Self>) {
+        self.0.stop();
+    }
+}
+
+/// A stop that comes while the sampler serves is served with the rest; the sampler must not sleep then. The sampler's own slot is behind that of
+/// the task that stops it, so that one look finds both.
+#[test]
+fn a_stop_while_it_serves_ends_it() {
+    let participant = Participant::new(support::domain(192)).unwrap();
+    // Slots are claimed in turn.
+    while participant.claim_slot().unwrap().index() < 512 {}
+    let mut sampler = Sampler::new(&participant).unwrap();
+    while participant.claim_slot().unwrap().index() > 512 {}
+    let events = sampler.events().clone();
+    let mut condition = events.guard_condition().unwrap();
+    let waker = Waker::from(Arc::new(Stop(events)));
+    assert!(condition.poll_triggered(&mut Context::from_waker(&waker)).is_pending());
+    condition.trigger();
+    let mut sleeps = 0;
+    sampler.spin_told(|_| sleeps += 1);
+    assert_eq!(sleeps, 0);
 }
 
 #[test]

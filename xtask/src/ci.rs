@@ -4,7 +4,7 @@
 //! build.
 
 use crate::bench::{self, Name};
-use crate::build::{Build, SAME, TARGETS, WHOLE, WITH_GATEWAY, WITH_ROS};
+use crate::build::{Build, TARGETS, WHOLE, WITH_GATEWAY, WITH_ROS};
 use crate::guests::{Extent, Guest};
 use crate::machine::{self, Scope};
 use crate::ros::Distribution;
@@ -33,7 +33,7 @@ const GUESTS: [Guest; 1] = [Guest::RtX86];
 pub enum Job {
     /// What comes from the network, or is looked up there.
     Prepare,
-    /// The documentation, for which mdBook is built, and the first command: builds in folders of their own.
+    /// The documentation, for which mdBook is built, and the first command, a release build.
     Book,
     /// What is built for a step alone, and takes the place of nothing but the RMW.
     Apart,
@@ -68,7 +68,6 @@ impl Job {
             Job::Variants => {
                 fuzz::run(&mut steps, fuzz::RUNS_IN_CI, &[]);
                 lttng::test(&mut steps);
-                build_as_released(&mut steps);
             }
         }
         steps
@@ -89,8 +88,13 @@ pub fn run(steps: &mut Steps, scope: &Scope) {
     bridge::test(steps);
     let has_rmw = rmw::test(steps);
     dist::test(steps, has_rmw);
-    steps.join(book);
+    let has_release = steps.join(book);
     clock_step(steps);
+    if has_release {
+        demo_as_released(steps);
+    } else {
+        steps.skip("demo as released", "a step before it failed: it may not have been built");
+    }
     programs::test(steps);
     steps.command("stress: doorbell", &mut stress_doorbell(Build::Tests, RINGS));
     let built = lab::test(steps) && built;
@@ -109,11 +113,7 @@ pub fn run(steps: &mut Steps, scope: &Scope) {
         steps.join(apart);
         let variants = Job::Variants.start();
         of_the_build_without_taut(steps);
-        if steps.join(variants) {
-            demo_as_released(steps);
-        } else {
-            steps.skip("demo as released", "a step before it failed: it may not have been built");
-        }
+        steps.join(variants);
     } else {
         steps.skip("what runs in the tests' build", "not built");
     }
@@ -186,31 +186,9 @@ fn examples_by_themselves(steps: &mut Steps) {
     steps.command("examples by themselves", &mut cargo(&format!("check {packages} --examples --bins")));
 }
 
-/// The demo with what a release build makes of the packages that messages pass through: optimised, without what it checks in tests. A whole release
-/// build takes minutes for macros and build scripts, of which it has its own.
-fn build_as_released(steps: &mut Steps) {
-    const PASSED: [&str; 9] = [
-        "tautline",
-        "tautline-doorbell",
-        "tautline-executor",
-        "tautline-msgs",
-        "tautline-ros-msgs",
-        "tautline-rt",
-        "tautline-sampler",
-        "tautline-trace",
-        "tautline-transport",
-    ];
-    const AS_RELEASED: [&str; 3] = ["opt-level=3", "debug-assertions=false", "overflow-checks=false"];
-    let mut build = lints::cargo(&format!("build -p taut {SAME}"));
-    for setting in PASSED.iter().flat_map(|package| AS_RELEASED.map(|value| format!("{package}.{value}"))) {
-        build.arg("--config").arg(format!("profile.dev.package.{setting}"));
-    }
-    steps.command("demo as released: build", &mut build);
-}
-
-/// Three seconds of it, while nothing else runs.
+/// Three seconds of the first command, while nothing else runs.
 fn demo_as_released(steps: &mut Steps) {
-    let mut demo = Command::new(Build::Tests.folder().join("taut"));
+    let mut demo = Command::new(Build::Release.folder().join("taut"));
     steps.command("demo as released", demo.args(["demo", "--seconds", "3"]));
 }
 

@@ -2,6 +2,7 @@
 //! What a user waits for first: the build of `cargo run --release -- demo` on a fresh clone. How much it is, and how much of it is one thing after the
 //! other.
 
+use crate::build::Build;
 use crate::steps::{Steps, cargo_with, execute};
 use crate::{machine, shared};
 use serde_json::Value;
@@ -45,21 +46,26 @@ fn check_units() -> Result<(), String> {
     }
 }
 
-/// Builds it as on a fresh clone, keeps cargo's report as `cargo-timings/first-command.html`, and checks the critical path.
+/// Builds it as on a fresh clone, keeps cargo's report as `cargo-timings/first-command.html`, and checks the critical path. Where nothing was
+/// built for release yet, as in CI, what it builds stays for later steps.
 fn build() -> Result<(), String> {
     let target = machine::target_dir();
-    let (fresh, kept) = (target.join("first-command"), target.join("cargo-timings"));
-    let say = |error: std::io::Error| format!("{}: {error}", fresh.display());
-    if fresh.exists() {
-        fs::remove_dir_all(&fresh).map_err(say)?;
+    let kept = target.join("cargo-timings");
+    let is_first = !Build::Release.folder().exists();
+    let folder = if is_first { target } else { target.join("first-command") };
+    let say = |error: std::io::Error| format!("{}: {error}", folder.display());
+    if !is_first && folder.exists() {
+        fs::remove_dir_all(&folder).map_err(say)?;
     }
-    let folder = format!("--target-dir={}", fresh.display());
-    execute(&mut cargo_with("build --release --locked", ["--timings".to_owned(), folder]))?;
-    let report = fs::read_to_string(fresh.join("cargo-timings/cargo-timing.html")).map_err(say)?;
+    let told = format!("--target-dir={}", folder.display());
+    execute(&mut cargo_with("build --release --locked", ["--timings".to_owned(), told]))?;
+    let report = fs::read_to_string(folder.join("cargo-timings/cargo-timing.html")).map_err(say)?;
     fs::create_dir_all(&kept)
         .and_then(|()| fs::write(kept.join("first-command.html"), &report))
         .map_err(say)?;
-    fs::remove_dir_all(&fresh).map_err(say)?;
+    if !is_first {
+        fs::remove_dir_all(&folder).map_err(say)?;
+    }
     check_path(&report, &shared::unit_graph("build --release --locked")?)
 }
 
