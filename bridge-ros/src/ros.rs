@@ -54,6 +54,11 @@ impl FarWriter for ProxyPublisher {
     fn is_matched(&self) -> bool {
         self.writer.publisher.subscription_count() > 0
     }
+
+    /// Not while the relay's thread may still publish through it.
+    fn is_settled(&self) -> bool {
+        Arc::strong_count(&self.writer.publisher) == 1 && self.writer.publisher.are_all_acknowledged()
+    }
 }
 
 /// Endpoints in ROS that are QoS-incompatible with a publisher.

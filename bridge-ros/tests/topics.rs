@@ -3,6 +3,7 @@
 
 mod support;
 
+use rustix::process::Signal;
 use serde_json::json;
 use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -42,6 +43,30 @@ fn texts_go_both_ways_and_topics_come_and_go() {
     assert!(all.iter().all(|topic| topic["dropped"] == json!({}) && topic["lost"] == 0), "{all:?}");
     wait_until("both are counted", || bridge.topic("/to_ros", "to_ros")["messages"] == 3);
     wait_until("it has ended", || bridge.topic("/from_ros", "from_ros")["active"] == false);
+}
+
+/// The reader in ROS is stopped, so that more is on its way than Fast DDS's queue in shared memory takes: what is sent again after that needs the
+/// writer, which must not end with the publisher that it mirrors.
+#[test]
+fn what_a_publisher_sent_before_it_ended_arrives_in_ros() {
+    let Some(venv) = ros() else { return };
+    const DOMAIN: u32 = 43;
+    const COUNT: usize = 2000;
+    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
+    let participant = Participant::new(DOMAIN).unwrap();
+    let mut peer = Peer::start(&venv, DOMAIN, "late");
+    let there = peer.subscription("/last_words", STRING, json!({ "depth": COUNT }));
+    let here = publisher(&participant, "/last_words", STRING, Qos::keep_last(COUNT));
+    matched(&here, 1);
+    here.publish(&text_body("first")).unwrap();
+    assert_eq!(peer.take_texts(there, 1), ["first"]);
+    peer.signal(Signal::STOP);
+    let texts: Vec<_> = (0..COUNT).map(|number| number.to_string()).collect();
+    texts.iter().for_each(|text| here.publish(&text_body(text)).unwrap());
+    drop(here);
+    wait_until("all are sent", || bridge.topic("/last_words", "to_ros")["messages"] == 1 + COUNT);
+    peer.signal(Signal::CONT);
+    assert_eq!(peer.take_texts(there, COUNT), texts);
 }
 
 #[test]

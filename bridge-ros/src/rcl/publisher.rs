@@ -93,6 +93,14 @@ impl RosPublisher {
         check("counting subscriptions", code).map_or(0, |()| count)
     }
 
+    /// Whether every matched reliable subscription has acknowledged all messages. An RMW that cannot tell does not hold up anybody.
+    pub fn are_all_acknowledged(&self) -> bool {
+        // SAFETY: it is initialised until it is dropped.
+        let code = unsafe { rcl_publisher_wait_for_all_acked(self.end.raw(), 0) };
+        let _ = check("waiting for acknowledgements", code);
+        code != RCL_RET_TIMEOUT as rcl_ret_t
+    }
+
     /// If QoS-incompatible subscriptions have appeared since the last call: the total count and the last policy.
     pub fn incompatible(&self) -> Option<(u64, &'static str)> {
         self.incompatible.as_ref()?.take()

@@ -249,7 +249,7 @@ const PAUSE: Duration = Duration::from_millis(2);
 const PAUSE_PER_LOOK: u32 = 4;
 /// Maximum of events handled in a row.
 const EVENTS_AT_ONCE: usize = 1024;
-/// Interval of the check whether a writer has matched.
+/// Interval of the check whether a writer has matched or settled.
 const MATCH_LOOK: Duration = Duration::from_millis(2);
 
 /// The parts of a mirror.
@@ -369,12 +369,17 @@ impl<F: FarSide> MirrorControl<F> {
                 next_update = Instant::now() + PAUSE + start.elapsed() * PAUSE_PER_LOOK;
             }
             self.open_matched();
+            self.writers.drop_settled();
         }
         if is_changed {
             self.update();
         }
-        // Samples that are already published are still sent.
+        // Samples that are already published are still sent, and arrive.
         self.out.keys().for_each(|key| self.relay.stop_topic(key.clone()));
+        self.writers.remove_all();
+        while self.writers.drop_settled() {
+            std::thread::sleep(MATCH_LOOK);
+        }
     }
 
     /// Brings both sides in step with the graphs.
@@ -573,10 +578,12 @@ impl<F: FarSide> MirrorControl<F> {
         Ok(())
     }
 
-    /// Whether writers are about to match.
+    /// Whether writers are about to match, or to settle.
     fn is_matching(&self) -> bool {
         let now = Instant::now();
-        self.waiting.values().any(|(_, since)| now < *since + MATCH_TIME) || self.writers.is_opening()
+        self.waiting.values().any(|(_, since)| now < *since + MATCH_TIME)
+            || self.writers.is_opening()
+            || self.writers.is_settling()
     }
 
     /// Starts taking samples once a writer has matched.

@@ -9,11 +9,17 @@ use tautline_transport::Gid;
 /// How long a new writer is polled often for matches; later, with each tick.
 pub(crate) const MATCH_TIME: Duration = Duration::from_secs(3);
 
+/// How long the writer of an ended publisher may wait until all that it sent has arrived: longer than a heartbeat of Fast DDS, 3 s, after which
+/// what did not fit is sent again.
+const SETTLE_TIME: Duration = Duration::from_secs(5);
+
 /// Writers by topic and mirrored publisher.
 pub struct Writers<W> {
     held: HashMap<(TopicKey, Gid), OpenedWriter<W>>,
     /// Next check for writers to open.
     next: Option<Instant>,
+    /// Writers of ended publishers, with the time of their end, until all that they sent has arrived.
+    ended: Vec<(TopicKey, W, Instant)>,
 }
 
 struct OpenedWriter<W> {
@@ -32,11 +38,16 @@ const LATER: Duration = Duration::from_secs(1);
 pub trait FarWriter: Send {
     /// Whether it has matched: samples sent before are lost.
     fn is_matched(&self) -> bool;
+
+    /// Whether all that was sent through it has arrived: what has not is lost with it.
+    fn is_settled(&self) -> bool {
+        true
+    }
 }
 
 impl<W> Default for Writers<W> {
     fn default() -> Self {
-        Writers { held: HashMap::new(), next: None }
+        Writers { held: HashMap::new(), next: None, ended: Vec::new() }
     }
 }
 
@@ -47,8 +58,33 @@ impl<W: FarWriter> Writers<W> {
             .insert((key, gid), OpenedWriter { writer, opened: Instant::now(), is_open: false, later: None });
     }
 
+    /// Drops a writer as soon as all that it sent has arrived: see [`drop_settled`](Self::drop_settled).
     pub(crate) fn remove(&mut self, key: &TopicKey, gid: Gid) {
-        self.held.remove(&(key.clone(), gid));
+        let removed = self.held.remove_entry(&(key.clone(), gid));
+        self.ended.extend(removed.map(|((key, _), held)| (key, held.writer, Instant::now())));
+    }
+
+    /// Like [`remove`](Self::remove), all of them.
+    pub(crate) fn remove_all(&mut self) {
+        let now = Instant::now();
+        self.ended.extend(self.held.drain().map(|((key, _), held)| (key, held.writer, now)));
+    }
+
+    /// Drops removed writers that have settled, or had time to. Returns whether others are left.
+    pub(crate) fn drop_settled(&mut self) -> bool {
+        self.ended.retain(|(key, writer, since)| {
+            let is_settled = writer.is_settled();
+            let is_late = since.elapsed() >= SETTLE_TIME;
+            if is_late && !is_settled {
+                let topic = &key.topic;
+                tracing::warn!(
+                    "topic '{topic}': a publisher has ended, and who receives from it has not confirmed its last messages within \
+                     {SETTLE_TIME:?}: they may be lost there"
+                );
+            }
+            !is_settled && !is_late
+        });
+        !self.ended.is_empty()
     }
 
     /// Writers that `is_right` rejects.
@@ -83,6 +119,11 @@ impl<W: FarWriter> Writers<W> {
         self.next = Some(Instant::now());
     }
 
+    /// Whether removed writers have not settled yet.
+    pub(crate) fn is_settling(&self) -> bool {
+        !self.ended.is_empty()
+    }
+
     /// Whether a check for writers to open is due.
     pub(crate) fn is_opening(&self) -> bool {
         self.next.is_some_and(|next| Instant::now() >= next)
@@ -113,5 +154,53 @@ impl<W: FarWriter> Writers<W> {
     pub(crate) fn schedule_check(&mut self, is_taken: impl Fn(&TopicKey) -> bool) {
         let closed = self.held.iter().filter(|((key, _), held)| !held.is_open && is_taken(key));
         self.next = closed.map(|(_, held)| held.later.unwrap_or_else(Instant::now)).min();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicBool, Ordering};
+
+    /// Has settled once this is set.
+    struct Settles(Arc<AtomicBool>);
+
+    impl FarWriter for Settles {
+        fn is_matched(&self) -> bool {
+            true
+        }
+
+        fn is_settled(&self) -> bool {
+            self.0.load(Ordering::Relaxed)
+        }
+    }
+
+    #[test]
+    fn an_ended_publishers_writer_stays_until_all_has_arrived() {
+        let key = TopicKey {
+            topic: "/x".to_owned(),
+            far_topic: "/x".to_owned(),
+            type_name: "std_msgs/msg/String".to_owned(),
+            type_hash: None,
+        };
+        let settled = [false, true].map(|is_settled| Arc::new(AtomicBool::new(is_settled)));
+        let mut writers = Writers::default();
+        for (gid, settled) in [1, 2].map(|id| Gid([id; 16])).into_iter().zip(&settled) {
+            writers.insert(key.clone(), gid, Settles(settled.clone()));
+        }
+        writers.remove(&key, Gid([1; 16]));
+        writers.remove_all();
+        assert_eq!((writers.iter().count(), writers.is_settling()), (0, true));
+        let held = || settled.each_ref().map(|settled| Arc::strong_count(settled) - 1);
+        assert_eq!((writers.drop_settled(), held()), (true, [1, 0]));
+        settled[0].store(true, Ordering::Relaxed);
+        assert_eq!((writers.drop_settled(), held()), (false, [0, 0]));
+        // What never settles does not stay for ever.
+        settled[0].store(false, Ordering::Relaxed);
+        writers.insert(key.clone(), Gid([1; 16]), Settles(settled[0].clone()));
+        writers.remove_all();
+        writers.ended[0].2 -= SETTLE_TIME;
+        assert_eq!((writers.drop_settled(), held()), (false, [0, 0]));
     }
 }
