@@ -62,6 +62,7 @@ impl Job {
             }
             Job::Apart => {
                 examples_by_themselves(&mut steps);
+                for_aarch64(&mut steps);
                 dist::test_crates(&mut steps);
                 peers::test(&mut steps);
             }
@@ -184,6 +185,14 @@ fn rest_of_tests(steps: &mut Steps) {
 fn examples_by_themselves(steps: &mut Steps) {
     let packages = "-p tautline-examples -p own-messages -p xtask-host-features";
     steps.command("examples by themselves", &mut cargo(&format!("check {packages} --examples --bins")));
+}
+
+/// What a Raspberry Pi 5 or a Jetson runs, as far as compiler and linker can tell; `cargo xtask guests` runs it on emulated machines.
+fn for_aarch64(steps: &mut Steps) {
+    steps.step("for aarch64", || {
+        let mut command = cargo("build --locked -p tautline -p taut");
+        execute(guests::debian::cross(&mut command, guests::Architecture::Arm64)?)
+    });
 }
 
 /// Three seconds of the first command, while nothing else runs.

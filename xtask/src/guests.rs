@@ -141,10 +141,8 @@ fn build(architecture: Architecture, targets: &str) -> Result<Vec<Executable>, S
     let mut command = if architecture.is_here() {
         lints::json(&format!("{targets} {TARGETS}"))
     } else {
-        let triple = architecture.triple();
-        let mut command =
-            steps::cargo(&format!("build --target {triple} {PACKAGES} {TARGETS} --message-format=json"));
-        command.envs(debian::compiler(architecture)?).arg("--target-dir").arg(debian::folder().join("build"));
+        let mut command = steps::cargo(&format!("build {PACKAGES} {TARGETS} --message-format=json"));
+        debian::cross(&mut command, architecture)?;
         // Nobody debugs it.
         for (setting, value) in
             [("DEV_DEBUG", "none"), ("DEV_BUILD_OVERRIDE_DEBUG", "none"), ("DEV_STRIP", "debuginfo")]

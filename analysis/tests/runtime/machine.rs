@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The cores, step by step.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
@@ -252,8 +252,8 @@ struct Thread {
     job: Option<Job>,
     /// The lock that it waits for.
     blocked_on: Option<usize>,
-    /// In the order of ranks, whose jobs were reported together and are still to be done.
-    round: Vec<usize>,
+    /// In the order of ranks, callbacks and topics whose messages were reported together and are still to be taken.
+    round: Vec<(usize, usize)>,
     is_over: bool,
     /// Jobs that arrived up to then run below all others, after one that was demoted.
     low_until: u64,
@@ -772,7 +772,8 @@ impl Machine<'_> {
         let i = message.callback;
         let callback = &self.model.callbacks[i];
         let mut more = Vec::new();
-        if matches!(callback.join, Some((Matching::Newest, _))) && message.set.is_empty() {
+        let is_ranked = callback.group.is_some_and(|group| self.model.groups[group] == Order::Rank);
+        if matches!(callback.join, Some((Matching::Newest, _))) && message.set.is_empty() && !is_ranked {
             more = thread.queue.extract_if(.., |other| other.callback == i).collect();
         }
         let takes = callback.join.filter(|_| message.set.is_empty()).map(|(_, take)| take);
@@ -844,16 +845,18 @@ impl Machine<'_> {
             }
             // A set is passed on by what takes its last message.
             Some(Order::Rank) if !queue[0].set.is_empty() => return 0,
+            // An executor of ROS 2 takes one message of each subscription that was reported, in the order of their creation.
             Some(Order::Rank) => {
-                thread.round.retain(|i| queue.iter().any(|message| message.callback == *i));
+                let of = |message: &Message| (message.callback, message.topic);
+                thread.round.retain(|one| queue.iter().any(|message| of(message) == *one));
                 if thread.round.is_empty() {
-                    let rank = |i: &usize| model.callbacks[*i].priority;
-                    let highest = queue.iter().map(|message| rank(&message.callback)).max();
-                    let members = thread.members.iter().copied();
-                    let waits = |i: &usize| queue.iter().any(|message| message.callback == *i);
-                    thread.round = members.filter(|i| Some(rank(i)) == highest && waits(i)).collect();
+                    let rank = |message: &Message| model.callbacks[message.callback].priority;
+                    let highest = queue.iter().map(rank).max();
+                    let reported = queue.iter().filter(|message| Some(rank(message)) == highest);
+                    thread.round = BTreeSet::from_iter(reported.map(of)).into_iter().collect();
                 }
-                thread.round.remove(0)
+                let next = thread.round.remove(0);
+                return queue.iter().position(|message| of(message) == next).unwrap_or(0);
             }
             _ => queue[self.rng.random_range(0..queue.len())].callback,
         };

@@ -205,6 +205,12 @@ pub fn compiler(target: Architecture) -> Result<Vec<(String, String)>, String> {
     Ok(variables)
 }
 
+/// Lets a command of cargo build for another architecture than this machine's, in a folder for that.
+pub fn cross(command: &mut Command, target: Architecture) -> Result<&mut Command, String> {
+    command.args(["--target", &target.triple(), "--target-dir"]).arg(folder().join("build"));
+    Ok(command.envs(compiler(target)?))
+}
+
 /// A script that runs it where it was unpacked, with the standard libraries of both architectures.
 fn debians_compiler(target: Architecture) -> Result<PathBuf, String> {
     let here = Architecture::here();

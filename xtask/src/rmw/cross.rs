@@ -31,9 +31,8 @@ pub fn build(architecture: Architecture) -> Result<(), String> {
         return Err(reason);
     }
     let prefix = make_prefix(architecture)?;
-    let mut command = cargo(&format!("build --release {LIBRARY} --target {triple}"));
-    command.arg("--target-dir").arg(debian::folder().join("build"));
-    command.envs(debian::compiler(architecture)?).envs(r2r::libclang()?);
+    let mut command = cargo(&format!("build --release {LIBRARY}"));
+    debian::cross(&mut command, architecture)?.envs(r2r::libclang()?);
     command.env("AMENT_PREFIX_PATH", prefix).env("ROS_DISTRO", ros::distribution()).env_remove(r2r::RPATH);
     // Where Debian has the other machine's headers, and its compiler its own.
     let own = stdout_of(Command::new(architecture.tool("gcc")).arg("-print-file-name=include"))?;
