@@ -70,6 +70,17 @@ fn the_newest_of_each_runs_at_the_pace_of_the_slowest() {
     );
 }
 
+/// An executor of ROS 2 takes one message in a run, and passes a set on while others wait.
+#[test]
+fn the_newest_that_was_taken_may_be_a_response_older() {
+    let report = two_sensors([10, 40], Matching::NewestTaken).analyse().unwrap();
+    let join = report.joins[4].clone().unwrap();
+    assert_eq!(in_ms(&join.reflected_ns.unwrap()), [42 + 6, 11 + 6]);
+    assert_eq!((in_ms(&join.wait_ns), join.queue_size), (vec![11 + 6; 2], 1));
+    let fuse = report.callbacks[4].as_ref().unwrap();
+    assert_eq!((fuse.period_ns / 1_000_000, fuse.jitter_ns / 1_000_000), (40, 42 + 6));
+}
+
 #[test]
 fn close_stamps_meet_when_everyone_has_sent_something_later() {
     let report = two_sensors([10, 40], Matching::Approximate { window_ns: 11_000_000 }).analyse().unwrap();
@@ -447,6 +458,7 @@ fn random_system(rng: &mut StdRng) -> System {
     let longest = ways.iter().map(|way| callbacks[way[0]].task.period_ns).max().unwrap();
     let window_ns = rng.random_range(1..=longest * 3 / 2);
     let matching = match kind {
+        0 if rng.random_bool(0.5) => Matching::NewestTaken,
         0 => Matching::Newest,
         1 => Matching::Exact,
         2 => Matching::Approximate { window_ns },
@@ -574,7 +586,8 @@ fn simulate(system: &System, rng: &mut StdRng, join: usize, stops: &[Range<i64>]
     let matching = system.callbacks[join].join.as_ref().unwrap();
     let inputs = matching.ports.iter().max().unwrap() + 1;
     let streams = matching.inputs.len();
-    let by_stamp = !matches!(matching.matching, Matching::Newest | Matching::LatestTime);
+    let by_stamp =
+        !matches!(matching.matching, Matching::Newest | Matching::NewestTaken | Matching::LatestTime);
     let taker_of = |callback: usize| matching.inputs.iter().position(|taker| *taker == callback);
     let mut seen = Seen {
         responses: vec![0; count],
@@ -585,7 +598,7 @@ fn simulate(system: &System, rng: &mut StdRng, join: usize, stops: &[Range<i64>]
         ..Seen::default()
     };
     let policy = match matching.matching {
-        Matching::Newest => Decider::Newest,
+        Matching::Newest | Matching::NewestTaken => Decider::Newest,
         Matching::Exact => {
             let mut policy = ExactTime::new(1_000);
             policy.start(inputs);
@@ -880,7 +893,7 @@ fn simulated_joins_stay_within_their_bounds() {
         let of = system.callbacks[join].join.as_ref().unwrap();
         several += usize::from(of.ports.windows(2).any(|pair| pair[0] == pair[1]));
         checked[match of.matching {
-            Matching::Newest => 0,
+            Matching::Newest | Matching::NewestTaken => 0,
             Matching::Exact => 1,
             Matching::Approximate { .. } => 2,
             Matching::ApproximateEpsilon { .. } => 3,

@@ -81,7 +81,10 @@ impl Builder<'_> {
                 let window_ns = declared.window.as_ref().map(|window| window.value);
                 let matching = match (declared.policy(), window_ns) {
                     (JoinPolicy::LatestTime, _) => Matching::LatestTime,
-                    (_, None) => Matching::Newest,
+                    (_, None) if self.file.nodes[self.places[i].node].client == Client::Tautline => {
+                        Matching::Newest
+                    }
+                    (_, None) => Matching::NewestTaken,
                     (_, Some(0)) => Matching::Exact,
                     (JoinPolicy::ByWindow, Some(window_ns)) => Matching::Approximate { window_ns },
                     (JoinPolicy::ApproximateEpsilonTime, Some(window_ns)) => {

@@ -2,7 +2,7 @@
 //! Response times and jitter, repeated until they agree.
 use std::cmp::Ordering;
 
-use super::join::{self, JoinBound, Matching, Timing};
+use super::join::{self, JoinBound, Timing};
 use super::{System, Transfer};
 use crate::level::{self, Effort, First};
 use crate::{AnalysisError, Order, Release, Response, Task};
@@ -184,8 +184,8 @@ fn firsts(system: &System, tasks: &[Task], order: &[usize]) -> Vec<Option<Lead>>
                 let lag_ns = lead.lag_ns.map(|lag_ns| lag_ns.saturating_add(from.bcet_ns));
                 leads[i] = Some(Lead { lag_ns, ..lead });
             }
-        } else if let Some(join) = to.join.as_ref().filter(|join| join.matching == Matching::Newest) {
-            // It needs a new message of each input, and one may be there already.
+        } else if let Some(join) = to.join.as_ref().filter(|join| join.matching.is_newest()) {
+            // It needs a new message of each input, and one may be there already. What was not taken yet is part of the level's work.
             let is_single = |input: &usize| join.ports.iter().filter(|port| *port == input).count() == 1;
             let takers = join.inputs.iter().zip(&join.ports).filter(|(_, input)| is_single(input));
             let slowest = takers.map(|(taker, _)| *taker).max_by_key(|taker| tasks[*taker].period_ns);

@@ -16,6 +16,11 @@
 //! stream with its T and jitter J + T. A message waits at most for the longest gap of another input, min (T_k + J_k), and one that is in
 //! a set no longer than the gap of its own: with the last message of a set, what has come until then is taken.
 //!
+//! **Newest taken** ([`Matching::NewestTaken`]): an executor of ROS 2 takes one message after the other, and others may have come. So all of that
+//! may be R_i later. The next message of i after one in a set comes within its gap, and is taken R_i later; it is not before the set is passed on.
+//! The first message of k after a set comes within a gap of k after the set, and what is taken after that set came at most R_i before. Of m
+//! activations in w, all but one are preceded by a message of the slowest that came within w + R.
+//!
 //! **Exact stamps** ([`Matching::Exact`]). Each input is one stream: those of several publishers would meet by chance only, and each set
 //! drops what is older. The inputs have their nominal releases in common, and messages with the same
 //! n meet. The n-th activation lies within [max least, max most] after r(n); a message waits at most max most - `least_i`.
@@ -78,6 +83,8 @@ pub struct Join {
 pub enum Matching {
     /// The newest message of each input, as soon as each input has a new one.
     Newest,
+    /// The same of those that were taken, by runs of which each takes one message: those of an executor of ROS 2.
+    NewestTaken,
     /// Messages with equal stamps: they all descend from one source, or from several sources that are
     /// released together.
     Exact,
@@ -94,6 +101,13 @@ pub enum Matching {
     /// The newest message of each input, whenever the fastest input has a message, by message_filters'
     /// `LatestTime`.
     LatestTime,
+}
+
+impl Matching {
+    /// Whether a set has the newest of each input, whatever the stamps.
+    pub(super) fn is_newest(self) -> bool {
+        matches!(self, Matching::Newest | Matching::NewestTaken)
+    }
 }
 
 /// The bounds of a join once every input has a sender, all in nanoseconds.
@@ -265,7 +279,8 @@ pub(super) fn solve(
     };
     let inputs: Vec<Input<'_>> = (0..join.width()).map(input).collect();
     let (mut release, timing, bound) = match join.matching {
-        Matching::Newest => newest(&inputs),
+        Matching::Newest => newest(&inputs, |_| 0),
+        Matching::NewestTaken => newest(&inputs, |stream| stream.response_ns),
         Matching::Exact => exact(&inputs),
         Matching::Approximate { window_ns } => {
             close(&inputs, window_ns, most(&inputs, |input| input.least(Stream::heard_ns)), true)
@@ -333,8 +348,9 @@ fn slowest<'a>(inputs: &[Input<'a>], jitter: impl Fn(&Stream<'a>) -> u64, more: 
     slowest.unwrap_or(Release::periodic(u64::MAX))
 }
 
-fn newest(inputs: &[Input<'_>]) -> (Release, Timing, Found) {
-    let release = slowest(inputs, |stream| stream.task.jitter_ns, 1);
+/// `taken` is how long a message may wait until it is taken, while a set is passed on without it.
+fn newest(inputs: &[Input<'_>], taken: impl Fn(&Stream<'_>) -> u64) -> (Release, Timing, Found) {
+    let release = slowest(inputs, |stream| stream.task.jitter_ns.saturating_add(taken(stream)), 1);
     // Messages of several publishers may come at once.
     let apart = |input: &Input<'_>| match &input.streams[..] {
         [only] => only.task.min_distance_ns,
@@ -343,14 +359,16 @@ fn newest(inputs: &[Input<'_>]) -> (Release, Timing, Found) {
     let apart = inputs.iter().map(apart).min().unwrap_or(0);
     let others = |i: usize| inputs.iter().enumerate().filter(move |(j, _)| *j != i);
     let wait = |i| others(i).map(|(_, input)| input.gap_ns()).max().unwrap_or(0);
-    let timing = Timing { gap_ns: most(inputs, Input::gap_ns), ..Timing::default() };
+    let longest_taken = most(inputs, |input| input.most(&taken));
+    let gap_ns = most(inputs, Input::gap_ns).saturating_add(longest_taken);
+    let later = |of: u64| of.saturating_add(longest_taken);
     let bound = Found {
-        wait_ns: each(inputs, |i, _| wait(i).min(inputs[i].gap_ns())),
-        reflected_ns: Some(each(inputs, |i, _| wait(i))),
+        wait_ns: each(inputs, |i, _| later(wait(i).min(inputs[i].gap_ns()))),
+        reflected_ns: Some(each(inputs, |i, _| later(wait(i)))),
         queue_size: 1,
         starved_by: Vec::new(),
     };
-    (release.min_distance(apart), timing, bound)
+    (release.min_distance(apart), Timing { gap_ns, ..Timing::default() }, bound)
 }
 
 fn exact(inputs: &[Input<'_>]) -> (Release, Timing, Found) {
@@ -467,7 +485,7 @@ pub(super) fn validate(system: &System, join: &Join, name: &str) -> Result<(), A
     if join.matching == Matching::Exact && periods.any(|period| Some(period) != first_period) {
         return problem("its inputs have different periods, so that most stamps have no equal");
     }
-    let by_stamp = !matches!(join.matching, Matching::Newest | Matching::LatestTime);
+    let by_stamp = !join.matching.is_newest() && join.matching != Matching::LatestTime;
     if by_stamp && join.inputs.iter().any(|i| system.callbacks[first(system, *i)].join.is_some()) {
         return problem("an input comes from a join, so that its stamps are not known");
     }

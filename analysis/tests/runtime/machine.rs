@@ -772,8 +772,9 @@ impl Machine<'_> {
         let i = message.callback;
         let callback = &self.model.callbacks[i];
         let mut more = Vec::new();
-        let is_ranked = callback.group.is_some_and(|group| self.model.groups[group] == Order::Rank);
-        if matches!(callback.join, Some((Matching::Newest, _))) && message.set.is_empty() && !is_ranked {
+        // An executor of ROS 2 takes one message in a run.
+        let drains = self.model.executors[callback.core].is_none();
+        if matches!(callback.join, Some((Matching::Newest, _))) && message.set.is_empty() && drains {
             more = thread.queue.extract_if(.., |other| other.callback == i).collect();
         }
         let takes = callback.join.filter(|_| message.set.is_empty()).map(|(_, take)| take);
