@@ -16,10 +16,11 @@
 //! stream with its T and jitter J + T. A message waits at most for the longest gap of another input, min (T_k + J_k), and one that is in
 //! a set no longer than the gap of its own: with the last message of a set, what has come until then is taken.
 //!
-//! **Newest taken** ([`Matching::NewestTaken`]): an executor of ROS 2 takes one message after the other, and others may have come. So all of that
-//! may be R_i later. The next message of i after one in a set comes within its gap, and is taken R_i later; it is not before the set is passed on.
-//! The first message of k after a set comes within a gap of k after the set, and what is taken after that set came at most R_i before. Of m
-//! activations in w, all but one are preceded by a message of the slowest that came within w + R.
+//! **Newest taken** ([`Matching::NewestTaken`]): an executor of ROS 2 takes one message after the other, and others may have come. So each wait
+//! may be R_i longer. The next message of i after one in a set comes within its gap, and is taken R_i later; it is not before the set is passed on.
+//! The first message of k after a set comes within a gap of k after the set, and what is taken after that set came at most R_i before. Nothing is
+//! left to be taken where a busy window begins, so sets are no more in it; and m - 1 of the m sets that are passed on in w have a message of the
+//! slowest that came within w + R, which is as many as the activations above make, each passed on within R.
 //!
 //! **Exact stamps** ([`Matching::Exact`]). Each input is one stream: those of several publishers would meet by chance only, and each set
 //! drops what is older. The inputs have their nominal releases in common, and messages with the same
@@ -350,7 +351,7 @@ fn slowest<'a>(inputs: &[Input<'a>], jitter: impl Fn(&Stream<'a>) -> u64, more: 
 
 /// `taken` is how long a message may wait until it is taken, while a set is passed on without it.
 fn newest(inputs: &[Input<'_>], taken: impl Fn(&Stream<'_>) -> u64) -> (Release, Timing, Found) {
-    let release = slowest(inputs, |stream| stream.task.jitter_ns.saturating_add(taken(stream)), 1);
+    let release = slowest(inputs, |stream| stream.task.jitter_ns, 1);
     // Messages of several publishers may come at once.
     let apart = |input: &Input<'_>| match &input.streams[..] {
         [only] => only.task.min_distance_ns,
