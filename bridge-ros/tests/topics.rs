@@ -51,7 +51,7 @@ fn texts_go_both_ways_and_topics_come_and_go() {
 fn what_a_publisher_sent_before_it_ended_arrives_in_ros() {
     let Some(venv) = ros() else { return };
     const DOMAIN: u32 = 43;
-    const COUNT: usize = 2000;
+    const COUNT: usize = 900;
     let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
     let participant = Participant::new(DOMAIN).unwrap();
     let mut peer = Peer::start(&venv, DOMAIN, "late");

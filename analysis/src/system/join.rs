@@ -15,6 +15,8 @@
 //! preceded by a message of every input since the one before, so m of them span at least m - 1 messages of the slowest: a
 //! stream with its T and jitter J + T. A message waits at most for the longest gap of another input, min (T_k + J_k), and one that is in
 //! a set no longer than the gap of its own: with the last message of a set, what has come until then is taken.
+//! Of several publishers' queues each is taken in order, but not all of them: what came before a message of another one may be taken after it, and
+//! be in the set instead, until all that had come is taken. The next set has something later, one gap and one R after that.
 //!
 //! **Newest taken** ([`Matching::NewestTaken`]): an executor of ROS 2 takes one message after the other, and others may have come. So each wait
 //! may be R_i longer. The next message of i after one in a set comes within its gap, and is taken R_i later; it is not before the set is passed on.
@@ -360,12 +362,14 @@ fn newest(inputs: &[Input<'_>], taken: impl Fn(&Stream<'_>) -> u64) -> (Release,
     let apart = inputs.iter().map(apart).min().unwrap_or(0);
     let others = |i: usize| inputs.iter().enumerate().filter(move |(j, _)| *j != i);
     let wait = |i| others(i).map(|(_, input)| input.gap_ns()).max().unwrap_or(0);
-    let longest_taken = most(inputs, |input| input.most(&taken));
-    let gap_ns = most(inputs, Input::gap_ns).saturating_add(longest_taken);
-    let later = |of: u64| of.saturating_add(longest_taken);
+    let later = |of: u64| of.saturating_add(most(inputs, |input| input.most(&taken)));
+    let gap_ns = later(most(inputs, Input::gap_ns));
+    // Of several publishers an earlier message may be taken after a later one, and be in the set instead.
+    let overtaken = gap_ns.saturating_add(most(inputs, |input| input.most(|stream| stream.response_ns)));
+    let overtaken = |i: usize| if inputs[i].streams.len() > 1 { overtaken } else { 0 };
     let bound = Found {
         wait_ns: each(inputs, |i, _| later(wait(i).min(inputs[i].gap_ns()))),
-        reflected_ns: Some(each(inputs, |i, _| later(wait(i)))),
+        reflected_ns: Some(each(inputs, |i, _| later(wait(i)).saturating_add(overtaken(i)))),
         queue_size: 1,
         starved_by: Vec::new(),
     };

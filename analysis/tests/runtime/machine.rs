@@ -857,7 +857,7 @@ impl Machine<'_> {
                     thread.round = BTreeSet::from_iter(reported.map(of)).into_iter().collect();
                 }
                 let next = thread.round.remove(0);
-                return queue.iter().position(|message| of(message) == next).unwrap_or(0);
+                return first(queue, &mut self.rng, |message| of(message) == next);
             }
             _ => queue[self.rng.random_range(0..queue.len())].callback,
         };
@@ -869,7 +869,7 @@ impl Machine<'_> {
             Some(join) => join.turn(|topic| of.iter().any(|m| queue[*m].topic == topic)),
             None => queue[of[self.rng.random_range(0..of.len())]].topic,
         };
-        of.into_iter().find(|m| queue[*m].topic == topic).unwrap_or(0)
+        first(queue, &mut self.rng, |message| (message.callback, message.topic) == (callback, topic))
     }
 
     /// Whether a job has a budget and its lock; otherwise it is demoted, sleeps or waits.
@@ -1083,4 +1083,14 @@ impl Machine<'_> {
             }
         }
     }
+}
+
+/// Of such messages one that is the first of its publisher: a subscription takes from one publisher after the other.
+fn first(queue: &[Message], rng: &mut StdRng, is_such: impl Fn(&Message) -> bool) -> usize {
+    let mut firsts = BTreeMap::new();
+    for (at, message) in queue.iter().enumerate().filter(|(_, message)| is_such(message)) {
+        firsts.entry(message.way).or_insert(at);
+    }
+    let firsts: Vec<usize> = firsts.into_values().collect();
+    if firsts.is_empty() { 0 } else { firsts[rng.random_range(0..firsts.len())] }
 }

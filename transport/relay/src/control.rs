@@ -12,7 +12,7 @@ use crate::rules::{Direction, Rules};
 use crate::services::{FarServices, Routes, ServiceStats, Services};
 use crate::stats::{TopicStats, TopicStatsTable};
 use crate::transit::Transit;
-use crate::writers::{FarWriter, MATCH_TIME, Writers};
+use crate::writers::{FarWriter, MATCH_TIME, SETTLE_TIME, Writers};
 use failed::Failed;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -249,8 +249,12 @@ const PAUSE: Duration = Duration::from_millis(2);
 const PAUSE_PER_LOOK: u32 = 4;
 /// Maximum of events handled in a row.
 const EVENTS_AT_ONCE: usize = 1024;
-/// Interval of the check whether a writer has matched or settled.
+/// Interval of the check whether a writer has matched.
 const MATCH_LOOK: Duration = Duration::from_millis(2);
+/// Interval of the check whether what an ended publisher sent has arrived: there may be hundreds.
+const SETTLE_LOOK: Duration = Duration::from_millis(20);
+/// How long the end waits for that: a heartbeat of Fast DDS, and less than what supervisors give a process that is to stop.
+const STOP_TIME: Duration = Duration::from_millis(3_500);
 
 /// The parts of a mirror.
 pub struct Parts<F: FarSide> {
@@ -341,6 +345,9 @@ impl<F: FarSide> MirrorControl<F> {
             if self.is_matching() {
                 until = until.min(Instant::now() + MATCH_LOOK);
             }
+            if self.writers.is_settling() {
+                until = until.min(Instant::now() + SETTLE_LOOK);
+            }
             let first = events.recv_timeout(until.saturating_duration_since(Instant::now()));
             if matches!(first, Err(mpsc::RecvTimeoutError::Disconnected)) {
                 break;
@@ -369,7 +376,7 @@ impl<F: FarSide> MirrorControl<F> {
                 next_update = Instant::now() + PAUSE + start.elapsed() * PAUSE_PER_LOOK;
             }
             self.open_matched();
-            self.writers.drop_settled();
+            self.writers.drop_settled(SETTLE_TIME);
         }
         if is_changed {
             self.update();
@@ -377,8 +384,8 @@ impl<F: FarSide> MirrorControl<F> {
         // Samples that are already published are still sent, and arrive.
         self.out.keys().for_each(|key| self.relay.stop_topic(key.clone()));
         self.writers.remove_all();
-        while self.writers.drop_settled() {
-            std::thread::sleep(MATCH_LOOK);
+        while self.writers.drop_settled(STOP_TIME) {
+            std::thread::sleep(SETTLE_LOOK);
         }
     }
 
@@ -578,12 +585,10 @@ impl<F: FarSide> MirrorControl<F> {
         Ok(())
     }
 
-    /// Whether writers are about to match, or to settle.
+    /// Whether writers are about to match.
     fn is_matching(&self) -> bool {
         let now = Instant::now();
-        self.waiting.values().any(|(_, since)| now < *since + MATCH_TIME)
-            || self.writers.is_opening()
-            || self.writers.is_settling()
+        self.waiting.values().any(|(_, since)| now < *since + MATCH_TIME) || self.writers.is_opening()
     }
 
     /// Starts taking samples once a writer has matched.

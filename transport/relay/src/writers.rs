@@ -2,16 +2,16 @@
 //! The writers that mirror publishers on the far side, and whether they have matched.
 
 use crate::mirror::TopicKey;
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::time::{Duration, Instant};
 use tautline_transport::Gid;
 
 /// How long a new writer is polled often for matches; later, with each tick.
 pub(crate) const MATCH_TIME: Duration = Duration::from_secs(3);
 
-/// How long the writer of an ended publisher may wait until all that it sent has arrived: longer than a heartbeat of Fast DDS, 3 s, after which
-/// what did not fit is sent again.
-const SETTLE_TIME: Duration = Duration::from_secs(5);
+/// How long the writer of an ended publisher may wait until all that it sent has arrived: two heartbeats of Fast DDS, of 3 s, after which what did
+/// not fit is sent again.
+pub(crate) const SETTLE_TIME: Duration = Duration::from_secs(7);
 
 /// Writers by topic and mirrored publisher.
 pub struct Writers<W> {
@@ -70,20 +70,22 @@ impl<W: FarWriter> Writers<W> {
         self.ended.extend(self.held.drain().map(|((key, _), held)| (key, held.writer, now)));
     }
 
-    /// Drops removed writers that have settled, or had time to. Returns whether others are left.
-    pub(crate) fn drop_settled(&mut self) -> bool {
+    /// Drops removed writers that have settled, or had `patience` for it. Returns whether others are left.
+    pub(crate) fn drop_settled(&mut self, patience: Duration) -> bool {
+        let mut late = BTreeSet::new();
         self.ended.retain(|(key, writer, since)| {
-            let is_settled = writer.is_settled();
-            let is_late = since.elapsed() >= SETTLE_TIME;
+            let (is_settled, is_late) = (writer.is_settled(), since.elapsed() >= patience);
             if is_late && !is_settled {
-                let topic = &key.topic;
-                tracing::warn!(
-                    "topic '{topic}': a publisher has ended, and who receives from it has not confirmed its last messages within \
-                     {SETTLE_TIME:?}: they may be lost there"
-                );
+                late.insert(key.topic.clone());
             }
             !is_settled && !is_late
         });
+        for topic in late {
+            tracing::warn!(
+                "topic '{topic}': a publisher has ended, and its last messages were not confirmed within {patience:?}: they may be lost on the \
+                 far side"
+            );
+        }
         !self.ended.is_empty()
     }
 
@@ -193,14 +195,14 @@ mod tests {
         writers.remove_all();
         assert_eq!((writers.iter().count(), writers.is_settling()), (0, true));
         let held = || settled.each_ref().map(|settled| Arc::strong_count(settled) - 1);
-        assert_eq!((writers.drop_settled(), held()), (true, [1, 0]));
+        assert_eq!((writers.drop_settled(SETTLE_TIME), held()), (true, [1, 0]));
         settled[0].store(true, Ordering::Relaxed);
-        assert_eq!((writers.drop_settled(), held()), (false, [0, 0]));
+        assert_eq!((writers.drop_settled(SETTLE_TIME), held()), (false, [0, 0]));
         // What never settles does not stay for ever.
         settled[0].store(false, Ordering::Relaxed);
         writers.insert(key.clone(), Gid([1; 16]), Settles(settled[0].clone()));
         writers.remove_all();
         writers.ended[0].2 -= SETTLE_TIME;
-        assert_eq!((writers.drop_settled(), held()), (false, [0, 0]));
+        assert_eq!((writers.drop_settled(SETTLE_TIME), held()), (false, [0, 0]));
     }
 }
