@@ -6,7 +6,7 @@ use crate::build::{Build, SAME};
 use crate::guests::Architecture;
 use crate::machine::Scope;
 use crate::running::Running;
-use crate::steps::{Outcome, Steps, cargo, execute};
+use crate::steps::{Outcome, Steps, cargo, execute, stdout_of};
 use crate::{dist, lints, machine};
 use std::fs;
 use std::path::Path;
@@ -154,14 +154,6 @@ fn git(arguments: &str) -> Command {
     let mut command = Command::new("git");
     command.args(arguments.split(' ')).current_dir(machine::root());
     command
-}
-
-pub fn stdout_of(command: &mut Command) -> Result<String, String> {
-    let output = command.output().map_err(|error| format!("{}: {error}", command.get_program().display()))?;
-    if output.status.success() {
-        return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
-    }
-    Err(String::from_utf8_lossy(&output.stderr).trim().to_owned())
 }
 
 fn read(path: &str) -> Result<String, String> {

@@ -189,6 +189,15 @@ pub fn cargo_with(arguments: &str, more: impl IntoIterator<Item = String>) -> Co
     command
 }
 
+/// What a command prints, or what it says of its failure.
+pub fn stdout_of(command: &mut Command) -> Result<String, String> {
+    let output = command.output().map_err(|error| format!("{}: {error}", command.get_program().display()))?;
+    if output.status.success() {
+        return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
+    }
+    Err(String::from_utf8_lossy(&output.stderr).trim().to_owned())
+}
+
 /// Prints a command and runs it.
 pub fn execute(command: &mut Command) -> Result<(), String> {
     announce(command);
