@@ -168,6 +168,10 @@ fn bad_host() -> TempDir {
             "Max locked memory   8388608   8388608   bytes\nMax realtime priority   0   0\n",
         ),
         ("proc/self/cgroup", "4:cpu,cpuacct:/user.slice\n0::/\n"),
+        (
+            "proc/self/mountinfo",
+            "32 31 0:29 / /sys/fs/cgroup/cpu,cpuacct rw shared:8 - cgroup cgroup rw,cpu,cpuacct\n",
+        ),
         ("sys/fs/cgroup/cpu,cpuacct/user.slice/cpu.rt_runtime_us", "0\n"),
         ("proc/cpuinfo", "flags\t\t: fpu hypervisor tsc\n"),
         ("proc/stat", "cpu2 90 0 0 0 0 0 0 10 0 0\ncpu3 100 0 0 0 0 0 0 0 0 0\n"),
@@ -342,11 +346,16 @@ fn virtual_machines_and_versions_of_kernel_and_cgroups() {
     expect(&root, "fair server", "advice", "get 50000 of each 1000000 µs");
 
     put(&root, "proc/self/cgroup", "1:cpu:/robot\n");
+    put(&root, "proc/self/mountinfo", "32 31 0:29 /else /sys/fs/cgroup/cpu rw - cgroup cgroup rw,cpu\n");
     expect(&root, "cgroup", "unknown", "group /robot of the cpu controller");
-    put(&root, "sys/fs/cgroup/cpu/robot/tasks", "");
+    put(&root, "proc/self/mountinfo", "32 31 0:29 / /sys/fs/cgroup/cpu rw - cgroup cgroup rw,cpu\n");
     expect(&root, "cgroup", "good", "without runtimes");
     put(&root, "sys/fs/cgroup/cpu/robot/cpu.rt_runtime_us", "950000\n");
     expect(&root, "cgroup", "good", "group /robot has 950000 µs");
+    // A container has its own group alone.
+    put(&root, "proc/self/mountinfo", "32 31 0:29 /robot /sys/fs/cgroup/cpu ro - cgroup cgroup rw,cpu\n");
+    put(&root, "sys/fs/cgroup/cpu/cpu.rt_runtime_us", "0\n");
+    expect(&root, "cgroup", "bad", "(/sys/fs/cgroup/cpu/cpu.rt_runtime_us is 0)");
     put(&root, "boot/config-6.12.1", "CONFIG_RT_GROUP_SCHED=y\n");
     expect(&root, "throttling", "advice", "950000 of each");
 

@@ -128,7 +128,7 @@ pub enum RtError {
     #[error(
         "real-time priority {priority} needs CAP_SYS_NICE: run `sudo setcap cap_sys_nice,cap_ipc_lock+ep {}`, \
          or add the line `@realtime - rtprio {}` to /etc/security/limits.d/90-tautline.conf, join the group \
-         `realtime` and log in again",
+         `realtime` and log in again; a container needs `--cap-add sys_nice --ulimit rtprio=99`",
         exe.display(),
         priority.max(&98)
     )]
@@ -153,7 +153,7 @@ pub enum RtError {
     /// The process's cpu cgroup has no real-time runtime (`CONFIG_RT_GROUP_SCHED`).
     #[error(
         "real-time priority {priority} is refused because the cpu cgroup has no real-time runtime: run \
-         `echo 950000 | sudo tee {}`",
+         `echo 950000 | sudo tee {}`, or start the container with `--cpu-rt-runtime=950000`",
         path.display()
     )]
     NoGroupRuntime {
@@ -202,7 +202,7 @@ pub enum RtError {
     #[error(
         "memory cannot be locked with a limit of {limit} (RLIMIT_MEMLOCK): run \
          `sudo setcap cap_sys_nice,cap_ipc_lock+ep {}`, or put the line `@realtime - memlock unlimited` into \
-         /etc/security/limits.d/90-tautline.conf and log in again",
+         /etc/security/limits.d/90-tautline.conf and log in again; a container needs `--ulimit memlock=-1`",
         exe.display()
     )]
     MemoryLock {

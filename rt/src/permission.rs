@@ -54,19 +54,35 @@ pub(crate) fn current_exe() -> PathBuf {
 
 /// The runtime file of this process's cpu cgroup, when it reads 0. Version 2 of cgroups has no such file.
 fn group_without_runtime() -> Option<PathBuf> {
-    let groups = fs::read_to_string("/proc/self/cgroup").ok()?;
-    let mounts = [Path::new("/sys/fs/cgroup/cpu"), Path::new("/sys/fs/cgroup/cpu,cpuacct")];
-    let group = cpu_group(&groups)?;
-    let mut files = mounts.iter().map(|mount| mount.join(group).join("cpu.rt_runtime_us"));
-    files.find(|file| fs::read_to_string(file).is_ok_and(|runtime| runtime.trim() == "0"))
+    let read = |path: &str| fs::read_to_string(path).ok();
+    let folder = cpu_group_folder(cpu_group(&read("/proc/self/cgroup")?)?, &read("/proc/self/mountinfo")?)?;
+    let file = folder.join("cpu.rt_runtime_us");
+    fs::read_to_string(&file).is_ok_and(|runtime| runtime.trim() == "0").then_some(file)
 }
 
-/// The path of the cpu controller's group, relative to its mount, in the text of `/proc/self/cgroup`; `None` under version 2 of cgroups.
+/// The cpu controller's group, in the text of `/proc/self/cgroup`; `None` under version 2 of cgroups.
 pub fn cpu_group(text: &str) -> Option<&str> {
     text.lines().find_map(|line| {
         let (controllers, path) = line.split_once(':')?.1.split_once(':')?;
-        controllers.split(',').any(|c| c == "cpu").then(|| path.trim_start_matches('/'))
+        has_cpu(controllers).then_some(path)
     })
+}
+
+/// Where that group is mounted, by the text of `/proc/self/mountinfo`: a container may have its own group alone.
+pub fn cpu_group_folder(group: &str, mounts: &str) -> Option<PathBuf> {
+    mounts.lines().find_map(|line| {
+        let (place, source) = line.split_once(" - ")?;
+        let mut place = place.split(' ').skip(3);
+        let (root, mount) = (place.next()?, place.next()?);
+        let is_cpu = source.starts_with("cgroup ") && has_cpu(source.rsplit(' ').next()?);
+        let below = Path::new(group).strip_prefix(root).ok().filter(|_| is_cpu)?;
+        // No slash behind the mount.
+        Some(Path::new(mount).join(below).components().collect())
+    })
+}
+
+fn has_cpu(words: &str) -> bool {
+    words.split(',').any(|word| word == "cpu")
 }
 
 #[cfg(test)]
@@ -76,9 +92,25 @@ mod tests {
     #[test]
     fn the_cpu_group_is_found() {
         let text = "12:memory:/a\n4:cpu,cpuacct:/user.slice/x\n0::/unified\n";
-        assert_eq!(cpu_group(text), Some("user.slice/x"));
-        assert_eq!(cpu_group("3:cpuset:/\n2:cpu:/\n"), Some(""));
+        assert_eq!(cpu_group(text), Some("/user.slice/x"));
+        assert_eq!(cpu_group("3:cpuset:/\n2:cpu:/\n"), Some("/"));
         assert_eq!(cpu_group("0::/only/v2\n"), None);
+    }
+
+    #[test]
+    fn the_cpu_group_is_found_where_it_is_mounted() {
+        let host = "33 31 0:30 / /sys/fs/cgroup/memory rw shared:9 - cgroup cgroup rw,memory\n\
+                    32 31 0:29 / /sys/fs/cgroup/cpu,cpuacct rw shared:8 - cgroup cgroup rw,cpu,cpuacct\n\
+                    41 31 0:38 / /sys/fs/cgroup/unified rw - cgroup2 cgroup2 rw\n";
+        // As Docker and Podman mount it into a container that sees the host's groups.
+        let container = "83 82 0:29 /docker/1f /sys/fs/cgroup/cpu ro,nosuid - cgroup cgroup rw,cpu\n";
+        let folder = |group: &str, mounts: &str| cpu_group_folder(group, mounts).map(PathBuf::into_os_string);
+        assert_eq!(folder("/x", host), Some("/sys/fs/cgroup/cpu,cpuacct/x".into()));
+        assert_eq!(folder("/", host), Some("/sys/fs/cgroup/cpu,cpuacct".into()));
+        assert_eq!(folder("/docker/1f", container), Some("/sys/fs/cgroup/cpu".into()));
+        assert_eq!(folder("/docker/1f/a", container), Some("/sys/fs/cgroup/cpu/a".into()));
+        assert_eq!(folder("/docker/2", container), None);
+        assert_eq!(folder("/docker/1f", ""), None);
     }
 
     #[test]

@@ -6,7 +6,7 @@ use super::host::{Host, Tree};
 use indicatif::BinaryBytes;
 use std::collections::BTreeMap;
 use tautline_rt::RtError;
-use tautline_rt::permission::{cpu_group, realtime_permitted};
+use tautline_rt::permission::{cpu_group, cpu_group_folder, realtime_permitted};
 
 const REFUSED: Cost = Cost::Unknown("programs do not start in real time");
 /// Numbers of capabilities: see capability.h.
@@ -103,24 +103,22 @@ pub fn cgroup(host: &Host) -> Checked {
     let Some(group) = cpu_group(&groups) else {
         return Ok(Finding::good("version 2 of cgroups, which has no runtime of groups"));
     };
-    let mounts = ["/sys/fs/cgroup/cpu", "/sys/fs/cgroup/cpu,cpuacct"];
-    let Some(mount) = mounts.iter().find(|mount| tree.has(&format!("{mount}/{group}"))) else {
+    let Some(folder) = cpu_group_folder(group, &tree.read("/proc/self/mountinfo")?) else {
         return Err(format!(
-            "group /{group} of the cpu controller is neither in {} nor in {}",
-            mounts[0], mounts[1]
+            "/proc/self/mountinfo does not say where group {group} of the cpu controller is"
         ));
     };
-    let file = format!("{mount}/{group}/cpu.rt_runtime_us").replace("//", "/");
+    let file = folder.join("cpu.rt_runtime_us").display().to_string();
     let Some(runtime) = tree.read_if_there(&file)? else {
         return Ok(Finding::good("version 1 of cgroups, without runtimes of groups"));
     };
     if runtime != "0" {
-        return Ok(Finding::good(format!("group /{group} has {runtime} µs of each period")));
+        return Ok(Finding::good(format!("group {group} has {runtime} µs of each period")));
     }
-    Ok(Finding::new(Verdict::Bad, format!("group /{group} has no real-time runtime ({file} is 0)"))
+    Ok(Finding::new(Verdict::Bad, format!("group {group} has no real-time runtime ({file} is 0)"))
         .costs(REFUSED)
-        .fix(format!("start the programs in the root group: echo $$ > {mount}/cgroup.procs; or give each group down to this one a runtime"))
-        .script([format!("# In the shell that starts the programs: echo $$ > {mount}/cgroup.procs")]))
+        .fix("start the programs in the root group: echo $$ > /sys/fs/cgroup/cpu/cgroup.procs; or give each group down to this one a runtime, a container with --cpu-rt-runtime=950000")
+        .script(["# In the shell that starts the programs: echo $$ > /sys/fs/cgroup/cpu/cgroup.procs"]))
 }
 
 /// Users below this number are the system's, whose files logind leaves alone (SYS_UID_MAX).
