@@ -71,6 +71,20 @@
 //!
 //! Programs that were written for `r2r` compile unchanged with the crate `tautline-r2r`, which has r2r's
 //! names.
+//!
+//! # Figures
+//!
+//! ![Response times of the demo's five topics beside their prediction](https://github.com/tautline/tautline/raw/main/docs/demo.svg)
+//!
+//! Five topics share one core at 90 % load: response times, computed worst cases, deadlines. And beside others, half round trips in µs (p50 / p99)
+//! as [the README](https://github.com/tautline/tautline#how-it-compares) explains them:
+#![doc = include_str!("comparison.md")]
+//! # Three ways to start
+//!
+//! - Rust: `cargo add tautline`, and [the first program](https://github.com/tautline/tautline/blob/main/docs/start.md#in-your-program).
+//! - ROS 2: `pip install taut rmw-tautline` beside its wheels, or a `.deb` beside an installed one, and `RMW_IMPLEMENTATION=rmw_tautline`:
+//!   [packages](https://github.com/tautline/tautline/blob/main/docs/start.md#install).
+//! - To look: `cargo run --release -- demo` in a checkout.
 #![forbid(unsafe_code)]
 
 #[cfg(feature = "action_msgs")]

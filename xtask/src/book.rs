@@ -18,7 +18,7 @@ use std::process::Command;
 const MDBOOK: &str = "0.5.4";
 
 /// Where a file is read that is no page of the book.
-const REPOSITORY: &str = concat!(env!("CARGO_PKG_REPOSITORY"), "/blob/main");
+const REPOSITORY: &str = env!("CARGO_PKG_REPOSITORY");
 
 /// Files outside of `docs/`, and the pages that show them.
 const SHOWN: [(&str, &str); 2] =
@@ -31,6 +31,10 @@ pub fn test(steps: &mut Steps) {
             let mut check = Command::new(program);
             // Those within the repository, in all of its documents: what is on the network may be away for a day.
             check.args(["--offline", "--include-fragments", "--no-progress", "--extensions", "md", "."]);
+            let here = machine::root();
+            check
+                .arg("--remap")
+                .arg(format!("{REPOSITORY}/(blob|raw|tree)/main/ file://{}/", here.display()));
             execute(check.current_dir(machine::root())).into()
         }
         Err(reason) => Outcome::Failed(reason).unless_ci(),
@@ -169,7 +173,7 @@ fn redirected(text: &str, file: &Path, page: &Path, is_page: &dyn Fn(&Path) -> b
             let path = path.to_string_lossy().replace("README.md", "index.md");
             format!("{up}{}", path.trim_start_matches("docs/"))
         } else {
-            format!("{REPOSITORY}/{}", path.display())
+            format!("{REPOSITORY}/blob/main/{}", path.display())
         };
         redirected += &text[done..range.start];
         redirected += &target;
@@ -180,11 +184,6 @@ fn redirected(text: &str, file: &Path, page: &Path, is_page: &dyn Fn(&Path) -> b
         done = range.end;
     }
     redirected + &text[done..]
-}
-
-/// The text of `file` for a page elsewhere: its links lead to the repository.
-pub fn in_repository(text: &str, file: &Path) -> String {
-    redirected(text, file, file, &|_| false)
 }
 
 /// The program: that in PATH, else one that is installed under the target directory, which takes a minute or two.
@@ -223,11 +222,15 @@ mod tests {
             |text: &str, file: &str, page: &str| redirected(text, Path::new(file), Path::new(page), &is_page);
         assert_eq!(
             case(
-                "[a](docs/qos.md#b) [c](docs/adr/) ![d](docs/e.svg) [f](rt/)",
+                &format!(
+                    "[a](docs/qos.md#b) [c](docs/adr/) ![d](docs/e.svg) [f](rt/) [g]\n[g]: {REPOSITORY}/blob/main/docs/qos.md#h\n"
+                ),
                 "README.md",
                 "docs/introduction.md"
             ),
-            format!("[a](qos.md#b) [c](adr/index.md) ![d](e.svg) [f]({REPOSITORY}/rt)")
+            format!(
+                "[a](qos.md#b) [c](adr/index.md) ![d](e.svg) [f]({REPOSITORY}/blob/main/rt) [g]\n[g]: qos.md#h\n"
+            )
         );
         assert_eq!(
             case(

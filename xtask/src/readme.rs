@@ -17,6 +17,8 @@ use std::process::Command;
 
 /// Where the picture goes.
 const PICTURE: &str = "docs/demo.svg";
+/// The comparison on docs.rs.
+const CRATE_PAGE: &str = "node/src/comparison.md";
 /// That of the comparison.
 const COMPARISON: &str = "docs/compare.svg";
 
@@ -94,12 +96,16 @@ pub fn run(quick: bool, minutes: Option<u64>, parts: &[Part]) -> Result<(), Stri
     parts.iter().try_for_each(|part| update(part.document().as_ref(), *part, &json(part)))
 }
 
-/// Puts the tables of a run between their marks in `document`, and the README's excerpt of the comparison into the README.
+/// Puts the tables of a run between their marks in `document`, and the comparison's excerpt where those look who
+/// find the project.
 fn update(document: &Path, part: Part, json: &Path) -> Result<(), String> {
     let tables = part.tables(json)?;
     write(document, &word(part), &tables)?;
     match part {
-        Part::Compare => write("README.md".as_ref(), "comparison", &comparison::excerpt(&tables)?),
+        Part::Compare => {
+            let excerpt = comparison::excerpt(&tables)?;
+            ["README.md", CRATE_PAGE].iter().try_for_each(|page| write(page.as_ref(), "comparison", &excerpt))
+        }
         _ => Ok(()),
     }
 }

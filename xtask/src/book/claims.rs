@@ -400,6 +400,18 @@ fn who_finds_it_reads_the_same_five_sentences() {
     let begin = crate_page.lines().skip(1).map_while(|line| line.strip_prefix("//! "));
     assert_eq!(whole(begin.collect()), five);
     assert_eq!(read(&root.join("docs/introduction.md")).trim(), "{{#include ../README.md}}");
+    // As it does on pages that know no other file of the repository.
+    let is_near = |range: &std::ops::Range<usize>| !readme[range.clone()].contains("://");
+    let near: Vec<_> = super::links::targets(&readme).into_iter().filter(is_near).collect();
+    assert_eq!(near.into_iter().map(|range| &readme[range]).collect::<Vec<_>>(), Vec::<&str>::new());
+    assert!(readme.contains(&read(&root.join("node/src/comparison.md"))));
+    for page in [&readme, &crate_page] {
+        for part in
+            ["/raw/main/docs/demo.svg)", "cargo add tautline", "pip install ", "cargo run --release -- demo"]
+        {
+            assert!(page.contains(part), "{part}");
+        }
+    }
     for file in ["node/Cargo.toml", "docs/book.toml"] {
         assert!(read(&root.join(file)).contains(&format!("description = \"{first}\"")), "{file}: {first}");
     }

@@ -1,11 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Where the links of Markdown files are, and which file each leads to: the book redirects them. That none is dead is for lychee to check.
 
+use super::REPOSITORY;
 use std::ops::Range;
 use std::path::{Component, Path, PathBuf};
 
-/// The file, relative to the root, and the heading that `target`, a link in `file`, leads to; `None` if it leads elsewhere.
+/// The file, relative to the root, and the heading that `target`, a link in `file`, leads to; `None` if it leads elsewhere. What is shown outside of
+/// the repository, too, names files by their addresses there.
 pub fn local<'a>(file: &Path, target: &'a str) -> Option<(PathBuf, &'a str)> {
+    let address = target.strip_prefix(REPOSITORY).and_then(|rest| rest.split_once("/main/"));
+    if let Some((_, path)) = address {
+        let (path, fragment) = path.split_once('#').unwrap_or((path, ""));
+        return Some((Path::new(path).components().collect(), fragment));
+    }
     let scheme = target.split(['/', '#', '.']).next().unwrap_or_default();
     if scheme.contains(':') || target.starts_with('/') || target.is_empty() {
         return None;
