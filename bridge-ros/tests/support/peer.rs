@@ -14,6 +14,9 @@ use std::time::{Duration, Instant};
 use tautline_schema::{DynamicMessage, Endian, Packages};
 use tautline_transport::{Limits, Participant, Qos, RawPublisher, RawSubscription, TopicType};
 
+#[path = "../../../cli/tests/support/schemas.rs"]
+mod schemas;
+
 /// Nothing takes so long unless it is broken: the end of every wait.
 pub const PATIENCE: Duration = Duration::from_secs(120);
 
@@ -261,7 +264,12 @@ impl Program {
 
     /// The numbers that it printed last.
     pub fn stats(&self) -> Value {
-        self.last.lock().unwrap().clone()
+        let numbers = self.last.lock().unwrap().clone();
+        if numbers.is_object() {
+            let program = if numbers["rmw"].is_string() { "bridge-ros" } else { "gateway" };
+            schemas::check_as(program, numbers.to_string().as_bytes());
+        }
+        numbers
     }
 
     /// All that it has said on standard error.

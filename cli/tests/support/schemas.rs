@@ -5,12 +5,14 @@
 
 use serde_json::Value;
 use std::ffi::OsStr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-/// Where the schemas are.
+/// Where the schemas are, for tests of any crate.
 pub fn folder() -> PathBuf {
-    PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/schemas"))
+    let mut folders =
+        Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().map(|folder| folder.join("docs/schemas"));
+    folders.find(|folder| folder.is_dir()).unwrap()
 }
 
 /// A `taut` that is run to its end.

@@ -3,6 +3,9 @@
 //! which are this test program once more.
 #![allow(dead_code, reason = "each test uses a part")]
 
+#[path = "../../../../cli/tests/support/schemas.rs"]
+mod schemas;
+
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::process::{Child, ChildStdin, Command, Stdio};
@@ -202,6 +205,7 @@ impl Gateway {
     pub fn stats(&mut self) -> serde_json::Value {
         let _ = self.lines.try_iter().count();
         let line = self.lines.recv_timeout(PATIENCE).expect("the gateway has ended");
+        schemas::check_as("gateway", line.as_bytes());
         self.last = Some(serde_json::from_str(&line).unwrap());
         self.last.clone().unwrap()
     }
