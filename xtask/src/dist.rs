@@ -15,11 +15,11 @@
 mod crates;
 mod licences;
 
-use crate::build::{Build, SAME};
+use crate::build::{Build, OLD_GLIBC, SAME};
 use crate::guests::debian::{self, Architecture};
 use crate::ros::Distribution;
 use crate::steps::{Outcome, Steps, cargo, execute};
-use crate::{book, machine, pages, r2r, rmw, ros, word};
+use crate::{machine, pages, r2r, rmw, ros, word};
 use clap::ValueEnum;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -144,7 +144,8 @@ fn build(root: &Path, target: &Path) -> Command {
     let mut command = cargo("build --release --locked");
     command.args(PACKAGES.iter().flat_map(|package| ["--package", package]));
     command.current_dir(root).arg("--target-dir").arg(target);
-    command.env("CARGO_ENCODED_RUSTFLAGS", all("--remap-path-prefix").join("\u{1f}"));
+    let [root, target, home] = all("--remap-path-prefix");
+    command.env("CARGO_ENCODED_RUSTFLAGS", [&root, &target, &home, OLD_GLIBC].join("\u{1f}"));
     command.env("CFLAGS", all("-ffile-prefix-map").join(" "));
     command
 }
@@ -238,9 +239,10 @@ impl Dist {
         }
     }
 
-    /// The newest glibc that these files need.
+    /// The newest glibc that these files need. What the tests make stays on this machine.
     fn glibc(&self, files: &[PathBuf]) -> Result<Version, String> {
-        newest_glibc(&self.architecture.tool("objdump"), files, NEWEST_GLIBC)
+        let limit = if self.of == Build::Release { NEWEST_GLIBC } else { (u32::MAX, 0) };
+        newest_glibc(&self.architecture.tool("objdump"), files, limit)
     }
 
     fn make(&self, steps: &mut Steps, mut parts: Vec<Part>) {
@@ -279,12 +281,6 @@ impl Dist {
     /// What tools from PyPI make.
     fn with_tools(&self, part: Part, glibc: Version) -> Result<(), String> {
         ros::make_venv(&tools(), &TOOLS, || Ok("python3".to_owned()))?;
-        let text =
-            fs::read_to_string(machine::root().join("README.md")).map_err(|error| error.to_string())?;
-        let page = self.out.join("work/README.md");
-        fs::create_dir_all(self.out.join("work"))
-            .and_then(|()| fs::write(&page, book::in_repository(&text, Path::new("README.md"))))
-            .map_err(|error| format!("{}: {error}", page.display()))?;
         let glibc = if part.has_rmw() {
             self.add_licences("rmw-notices.txt", "rmw/Cargo.toml", &["tautline-rmw"])?;
             self.glibc(&[self.built().join(RMW)])?
@@ -365,7 +361,7 @@ fn newest_glibc(objdump: &str, files: &[PathBuf], limit: Version) -> Result<Vers
         for (version, symbol) in needed(&String::from_utf8_lossy(&output.stdout)) {
             if version > limit {
                 return Err(format!(
-                    "{} needs {symbol} of glibc {}.{}, and {}.{} is the newest allowed: build on an older system, or with cargo-zigbuild",
+                    "{} needs {symbol} of glibc {}.{}, and {}.{} is the newest allowed: build on an older system, such as Containerfile's",
                     file.display(),
                     version.0,
                     version.1,

@@ -46,6 +46,10 @@ pub fn run(steps: &mut Steps, dry_run: bool) {
         }
         if steps.are_all_ok() {
             dist::run(steps, &[], Architecture::here(), true, None);
+            // What pip, dpkg and binstall look for on the other usual machine.
+            if !Architecture::Arm64.is_here() {
+                dist::run(steps, &[], Architecture::Arm64, false, None);
+            }
         }
     }
     if !steps.are_all_ok() {
@@ -54,7 +58,7 @@ pub fn run(steps: &mut Steps, dry_run: bool) {
     if dry_run {
         let day = if dated.is_some() { "commit CHANGELOG.md with the day, " } else { "" };
         return println!(
-            "\nIt would {day}run `cargo xtask dist --verify`, and tag {tag} with this:\n\n{notes}\n\nThen: {then}"
+            "\nIt would {day}run `cargo xtask dist --verify` and `cargo xtask dist --architecture arm64`, and tag {tag} with this:\n\n{notes}\n\nThen: {then}"
         );
     }
     let mut command = git("tag --annotate --cleanup=verbatim");

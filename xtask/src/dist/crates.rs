@@ -7,7 +7,7 @@ use crate::steps::{cargo, execute};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 /// What a user begins with, in a workspace with all that is published.
 const PROGRAM: &str = r#"
@@ -21,8 +21,8 @@ fn main() -> tautline::Result<()> {
 }
 "#;
 
-/// Packs them into `crates` of this folder, and checks that they are enough for a program. Of a release each is checked, the gateway with Zenoh in
-/// minutes; in CI what that program needs.
+/// Packs them into `crates` of this folder, and checks that they are enough. Of a release from a copy of the registry that has them, and nothing of this
+/// repository: that program is built and the others are installed, in minutes. In CI that program is checked, with what is built already.
 pub fn make(out: &Path, of: Build) -> Result<(), String> {
     let (target, to) = (machine::target_dir(), out.join("crates"));
     let names = published()?;
@@ -37,31 +37,59 @@ pub fn make(out: &Path, of: Build) -> Result<(), String> {
         let _ = fs::remove_dir_all(folder);
         fs::create_dir_all(folder).map_err(say)?;
     }
-    let mut manifest = String::from(
-        "[workspace]\nmembers = [\"program\", \"tautline*\", \"taut-*\"]\nresolver = \"3\"\n[patch.crates-io]\n",
-    );
     for name in &names {
         let file = format!("{name}-{version}.crate");
         fs::copy(target.join("package").join(&file), to.join(&file)).map_err(say)?;
-        manifest += &format!("{name} = {{ path = \"{name}-{version}\" }}\n");
     }
-    let unpack = "for crate in \"$0\"/*.crate; do tar -xzf \"$crate\" -C \"$1\"; done";
-    execute(Command::new("sh").args(["-euc", unpack]).arg(&to).arg(&work))?;
-    let root = machine::root();
-    // Of other packages it has the versions and, where much is built, the features that the repository's builds have.
-    let program = format!(
-        "[package]\nname = \"program\"\nedition = \"2024\"\n[dependencies]\ntautline = \"{version}\"\n\
-         xtask-host-features = {{ path = \"{}\" }}\n",
-        root.join("xtask/host-features").display()
-    );
-    let written = fs::write(work.join("Cargo.toml"), manifest)
+    let unpack = |into: &Path| {
+        let unpack = "for crate in \"$0\"/*.crate; do tar -xzf \"$crate\" -C \"$1\"; done";
+        execute(Command::new("sh").args(["-euc", unpack]).arg(&to).arg(into))
+    };
+    let begin = |manifest: &str, dependency: &str| {
+        let program = format!(
+            "[package]\nname = \"program\"\nedition = \"2024\"\n[dependencies]\ntautline = \"{version}\"\n{dependency}"
+        );
+        fs::write(
+            work.join("Cargo.toml"),
+            format!("[workspace]\nmembers = [\"program\"]\nresolver = \"3\"\n{manifest}"),
+        )
         .and_then(|()| fs::create_dir_all(work.join("program/src")))
         .and_then(|()| fs::write(work.join("program/Cargo.toml"), program))
         .and_then(|()| fs::write(work.join("program/src/main.rs"), PROGRAM))
-        .and_then(|()| fs::copy(root.join("Cargo.lock"), work.join("Cargo.lock")));
-    written.map_err(say)?;
-    let packages = if of == Build::Tests { "--package program" } else { "--workspace" };
-    let mut check = cargo(&format!("check --offline {packages}"));
+        .map_err(say)
+    };
+    let root = machine::root();
+    if of == Build::Release {
+        let registry = work.join("registry");
+        let mut copy = cargo("vendor --quiet --locked --versioned-dirs");
+        execute(copy.arg(&registry).current_dir(&root).stdout(Stdio::null()))?;
+        unpack(&registry)?;
+        for name in &names {
+            let file = registry.join(format!("{name}-{version}/.cargo-checksum.json"));
+            fs::write(file, "{\"files\":{}}").map_err(say)?;
+        }
+        begin("", "")?;
+        let from = format!(
+            "[source.crates-io]\nreplace-with = \"packed\"\n[source.packed]\ndirectory = {registry:?}\n"
+        );
+        fs::create_dir_all(work.join(".cargo"))
+            .and_then(|()| fs::write(work.join(".cargo/config.toml"), from))
+            .map_err(say)?;
+        execute(cargo("build --offline --package program").current_dir(&work))?;
+        let mut install =
+            cargo(&format!("install --debug --offline --no-track --version {version} --root installed"));
+        return execute(install.args(super::PACKAGES).current_dir(&work));
+    }
+    unpack(&work)?;
+    let patch = |name: &String| format!("{name} = {{ path = \"{name}-{version}\" }}\n");
+    // Of other packages it has the versions and, where much is built, the features that the repository's builds have.
+    let features = root.join("xtask/host-features");
+    begin(
+        &format!("[patch.crates-io]\n{}", names.iter().map(patch).collect::<String>()),
+        &format!("xtask-host-features = {{ path = {features:?} }}\n"),
+    )?;
+    fs::copy(root.join("Cargo.lock"), work.join("Cargo.lock")).map_err(say)?;
+    let mut check = cargo("check --offline --package program");
     execute(check.arg("--manifest-path").arg(work.join("Cargo.toml")).arg("--target-dir").arg(target))
 }
 

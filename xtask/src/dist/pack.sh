@@ -44,7 +44,7 @@ END
         "$REPOSITORY/xtask/src/dist/no_wheel.py" > "$source/no_wheel.py"
     printf '[build-system]\nrequires = []\nbuild-backend = "no_wheel"\nbackend-path = ["."]\n' > "$source/pyproject.toml"
     archive "$OUT/pypi/$module-$VERSION.tar.gz" "$OUT/work" "$module-$VERSION"
-    { echo; cat "$OUT/work/README.md"; } >> "$info/METADATA"
+    { echo; cat "$REPOSITORY/README.md"; } >> "$info/METADATA"
     printf 'Wheel-Version: 1.0\nGenerator: cargo xtask dist\nRoot-Is-Purelib: false\nTag: py3-none-manylinux_%s_%s\n' \
         "$(echo "$GLIBC" | tr . _)" "$MACHINE" > "$info/WHEEL"
     rm -f "$OUT/pypi/$module-"*"_$MACHINE.whl"
@@ -93,7 +93,8 @@ END
     rm -f "$OUT/$1_"*"_$ARCHITECTURE.deb"
     dpkg-deb --root-owner-group "-Z$kind" "-z$LEVEL" --build "$root" "$deb"
     # It takes longer than the rest.
-    if [ "$LEVEL" != 1 ] && command -v lintian; then lintian --allow-root --fail-on error "$deb"; fi
+    if [ "$LEVEL" = 1 ]; then return; fi
+    if command -v lintian; then lintian --allow-root --fail-on error "$deb"; else echo "$deb: not checked: lintian is not installed"; fi
 }
 
 case $1 in
