@@ -19,7 +19,8 @@ use support::{Domain, words_of};
 
 const SYSTEMS: usize = 40;
 
-/// Publishes what arrives, spins once if a job begins, and stays in it until it ends.
+/// Publishes what arrives, spins once where a message is taken, and stays in a job until it ends. Whose callback is a join keeps the newest message
+/// of each topic until all have one.
 const FOLLOWER: &str = r#"
 import json, sys, rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -30,27 +31,40 @@ for number, system in enumerate(json.load(open(sys.argv[1]))):
     node, steps, publishers = rclpy.create_node(f"listener{number}"), system["steps"], {}
     steps.reverse()
     def follow():
-        what, callback, value = steps.pop()
-        if what == "arrived": publishers[callback].publish(String(data=str(value)))
+        what, callback, topic, values = steps.pop()
+        if what == "arrived": publishers[callback, topic].publish(String(data=str(values[0])))
         return what
-    def heard(callback):
+    def expect(*step):
+        assert steps[-1] == list(step), (number, steps[-1], step)
+        steps.pop()
+    def begin(callback, values):
+        global begun
+        expect("begun", callback, None, values)
+        begun += 1
+        while steps and follow() != "ended": pass
+    def heard(callback, topic, topics, newest):
         def run(message):
-            global begun
             if not steps: return
-            assert steps[-1] == ["begun", callback, int(message.data)], (number, steps[-1], callback, message.data)
-            begun += 1
-            while steps and follow() != "ended": pass
+            value = int(message.data)
+            if newest is None: return begin(callback, [value])
+            expect("taken", callback, topic, [])
+            newest[topic] = value
+            if len(newest) == len(topics):
+                values = [newest.pop(topic) for topic in topics]
+                if steps: begin(callback, values)
         return run
-    for callback, depth in system["callbacks"]:
-        topic = f"/s{number}/t{callback}"
-        publishers[callback] = source.create_publisher(String, topic, 100)
-        node.create_subscription(String, topic, heard(callback), depth)
+    for callback, topics, is_join, depth in system["callbacks"]:
+        newest = {} if is_join else None
+        for topic in topics:
+            name = f"/s{number}/t{callback}_{topic}"
+            publishers[callback, topic] = source.create_publisher(String, name, 100)
+            node.create_subscription(String, name, heard(callback, topic, topics, newest), depth)
     while any(publisher.get_subscription_count() < 1 for publisher in publishers.values()): pass
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     while steps:
-        if steps[-1][0] == "begun": executor.spin_once()
-        else: follow()
+        if steps[-1][0] == "arrived": follow()
+        else: executor.spin_once()
     executor.shutdown()
     node.destroy_node()
 print(begun)
@@ -65,7 +79,7 @@ fn an_executor_of_rclpy_begins_what_the_simulation_begins() {
     println!("TAUT_SEED={seed}");
     let mut rng = StdRng::seed_from_u64(seed);
     let mut file = "[hosts.here]\ncores = 1\n".to_owned();
-    let (mut systems, mut begun, mut lost) = (Vec::new(), 0, 0);
+    let (mut systems, mut begun, mut joins, mut lost) = (Vec::new(), 0, 0, 0);
     for system in 0..SYSTEMS {
         let (model, seen) = run(&mut rng, |rng| group(rng, Order::Rank));
         writeln!(file, "[nodes.listener{system}]\nclient = \"rclpy\"").unwrap();
@@ -73,15 +87,21 @@ fn an_executor_of_rclpy_begins_what_the_simulation_begins() {
         let mut callbacks = Vec::new();
         for (i, callback) in model.callbacks.iter().enumerate().filter(|(_, callback)| callback.core == HERE)
         {
-            let topic = format!("/s{system}/t{i}");
+            let topics: Vec<String> =
+                callback.triggers.iter().map(|topic| format!("/s{system}/t{i}_{topic}")).collect();
+            let takes = if callback.join.is_some() { "all" } else { "topic" };
             let rank = callback.priority;
             writeln!(
                 file,
-                "[callbacks.s{system}t{i}]\ntopic = \"{topic}\"\npriority = {rank}\nwcet = \"1us\"\nnode = \"listener{system}\""
+                "[callbacks.s{system}t{i}]\n{takes} = {topics:?}\npriority = {rank}\nwcet = \"1us\"\nnode = \"listener{system}\""
             )
             .unwrap();
-            writeln!(file, "group = \"g{system}\"\n[topics.\"{topic}\"]\nperiod = \"1s\"").unwrap();
-            callbacks.push((i, callback.depth));
+            writeln!(file, "group = \"g{system}\"").unwrap();
+            for topic in &topics {
+                writeln!(file, "[topics.{topic:?}]\nperiod = \"1s\"").unwrap();
+            }
+            joins += usize::from(callback.join.is_some());
+            callbacks.push((i, &callback.triggers, callback.join.is_some(), callback.depth));
         }
         let steps: Vec<Value> = seen.steps.iter().map(|(_, step)| of(step)).collect();
         begun += steps.iter().filter(|step| step[0] == "begun").count();
@@ -95,14 +115,18 @@ fn an_executor_of_rclpy_begins_what_the_simulation_begins() {
     let mut command = domain.python(FOLLOWER);
     let (_, out, errors) = words_of(command.arg(steps).env("TAUT_SYSTEM", path).env("TAUT_REALTIME", "off"));
     assert_eq!(out.trim(), begun.to_string(), "{errors}");
-    println!("{SYSTEMS} systems: {begun} jobs begin in one order, {lost} messages overwritten");
+    println!(
+        "{SYSTEMS} systems: {begun} jobs begin in one order, of {joins} joins some; {lost} messages overwritten"
+    );
 }
 
+/// What, whose, of which topic, with which messages.
 fn of(step: &Step) -> Value {
     match step {
-        Step::Arrived { callback, number, .. } => json!(["arrived", callback, number]),
-        Step::Begun { callback, numbers } => json!(["begun", callback, numbers[0]]),
-        Step::Ended { callback } => json!(["ended", callback, 0]),
+        Step::Arrived { callback, topic, number, .. } => json!(["arrived", callback, topic, [number]]),
+        Step::Taken { callback, topic } => json!(["taken", callback, topic, []]),
+        Step::Begun { callback, numbers } => json!(["begun", callback, null, numbers]),
+        Step::Ended { callback } => json!(["ended", callback, null, []]),
         other => unreachable!("{other:?}"),
     }
 }

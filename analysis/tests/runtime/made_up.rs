@@ -213,9 +213,13 @@ impl Model {
         let reserved = reserved.filter(|other| matches!(other.budget, Budget::Reserved(..))).count();
         let has_reserved = reserved >= if self.floats { self.hosts.len() } else { 1 };
         let min_distance = if jitter > 0 && rng.random_bool(0.3) { rng.random_range(0..=period) } else { 0 };
+        let is_unseen = self.executors[core].is_some() && triggers.is_empty() && !is_outside;
         let budget = match rng.random_range(0..12) {
-            _ if self.executors[core].is_some() || waits => Budget::Tell,
+            _ if is_unseen => Budget::Tell,
+            _ if waits => Budget::Tell,
             0 => Budget::Demote,
+            // rmw_tautline enforces no other, and none of timers, which it does not see.
+            _ if self.executors[core].is_some() => Budget::Tell,
             1 => [Budget::Demote, Budget::End][rng.random_range(0..2)],
             2 if is_single => Budget::Suspend,
             3 if is_single && !has_reserved && wcet + 4 < period => {

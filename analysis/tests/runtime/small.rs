@@ -5,7 +5,7 @@ use rand::RngExt;
 use rand::rngs::StdRng;
 
 use super::machine::{Run, Seen, Step, simulate};
-use super::made_up::{Budget, Callback, Model, Order};
+use super::made_up::{Budget, Callback, Matching, Model, Order};
 
 /// The core of the sensors, which delay nothing, and the one that is looked at.
 pub const SENSORS: usize = 1;
@@ -71,15 +71,24 @@ pub fn sensors(rng: &mut StdRng, most: u8, from_one: bool) -> Model {
     }
 }
 
-/// A group that takes a topic of each sensor, often too much of it. Where it goes by ranks, some are alike.
+/// A group that takes a topic of each sensor, often too much of it. One that goes by ranks is an executor of ROS 2: some ranks are alike, and some
+/// callbacks take two topics, the messages of both or the newest of each.
 pub fn group(rng: &mut StdRng, order: Order) -> Model {
-    let mut model = sensors(rng, if order == Order::Rank { 5 } else { 3 }, false);
+    let is_ranked = order == Order::Rank;
+    let mut model = sensors(rng, if is_ranked { 5 } else { 3 }, false);
+    let count = model.callbacks.len();
     model.groups[HERE] = order;
-    for sensor in 0..model.callbacks.len() {
+    model.executors[HERE] = is_ranked.then_some(0);
+    for sensor in 0..count {
         let wcet = rng.random_range(1..=model.callbacks[sensor].period);
         let (depth, priority) = (rng.random_range(1..=4), rng.random_range(1..=4));
+        let mut triggers = vec![sensor];
+        if is_ranked && sensor > 0 && rng.random_bool(0.5) {
+            triggers.insert(0, rng.random_range(0..sensor));
+        }
+        let join = (triggers.len() > 1 && rng.random_bool(0.5)).then_some((Matching::Newest, 1));
         let group = Some(HERE);
-        model.callbacks.push(Callback { wcet, depth, priority, group, ..callback(HERE, vec![sensor]) });
+        model.callbacks.push(Callback { wcet, depth, priority, group, join, ..callback(HERE, triggers) });
     }
     model
 }
