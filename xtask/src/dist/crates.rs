@@ -72,12 +72,11 @@ pub fn make(out: &Path, of: Build) -> Result<(), String> {
         let from = format!(
             "[source.crates-io]\nreplace-with = \"packed\"\n[source.packed]\ndirectory = {registry:?}\n"
         );
-        fs::create_dir_all(work.join(".cargo"))
-            .and_then(|()| fs::write(work.join(".cargo/config.toml"), from))
-            .map_err(say)?;
-        execute(cargo("build --offline --package program").current_dir(&work))?;
-        let mut install =
-            cargo(&format!("install --debug --offline --no-track --version {version} --root installed"));
+        let source = work.join("registry.toml");
+        fs::write(&source, from).map_err(say)?;
+        execute(cargo("build --offline --package program --config").arg(&source).current_dir(&work))?;
+        let mut install = cargo("install --debug --offline --no-track --root installed --version");
+        install.arg(version).arg("--config").arg(&source);
         return execute(install.args(super::PACKAGES).current_dir(&work));
     }
     unpack(&work)?;
