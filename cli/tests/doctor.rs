@@ -356,6 +356,9 @@ fn virtual_machines_and_versions_of_kernel_and_cgroups() {
     put(&root, "proc/self/mountinfo", "32 31 0:29 /robot /sys/fs/cgroup/cpu ro - cgroup cgroup rw,cpu\n");
     put(&root, "sys/fs/cgroup/cpu/cpu.rt_runtime_us", "0\n");
     expect(&root, "cgroup", "bad", "(/sys/fs/cgroup/cpu/cpu.rt_runtime_us is 0)");
+    let said = text(&doctor(root.path(), &[]));
+    let said: Vec<_> = said.split_whitespace().collect();
+    assert!(said.join(" ").contains("fix: start the container with --cpu-rt-runtime=950000"), "{said:?}");
     put(&root, "boot/config-6.12.1", "CONFIG_RT_GROUP_SCHED=y\n");
     expect(&root, "throttling", "advice", "950000 of each");
 

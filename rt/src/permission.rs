@@ -68,16 +68,23 @@ pub fn cpu_group(text: &str) -> Option<&str> {
     })
 }
 
-/// Where that group is mounted, by the text of `/proc/self/mountinfo`: a container may have its own group alone.
+/// Where that group is mounted, by the text of `/proc/self/mountinfo`: a container may have its own group alone. `None` if it is not there, or outside of
+/// this namespace.
 pub fn cpu_group_folder(group: &str, mounts: &str) -> Option<PathBuf> {
+    // As the kernel writes what would end a word.
+    let escapes = [("\\040", " "), ("\\011", "\t"), ("\\012", "\n"), ("\\134", "\\")];
+    let plain = |path: &str| escapes.iter().fold(path.to_owned(), |path, (from, to)| path.replace(from, to));
+    if group.starts_with("/..") {
+        return None;
+    }
     mounts.lines().find_map(|line| {
         let (place, source) = line.split_once(" - ")?;
         let mut place = place.split(' ').skip(3);
-        let (root, mount) = (place.next()?, place.next()?);
+        let (root, mount) = (plain(place.next()?), plain(place.next()?));
         let is_cpu = source.starts_with("cgroup ") && has_cpu(source.rsplit(' ').next()?);
-        let below = Path::new(group).strip_prefix(root).ok().filter(|_| is_cpu)?;
+        let below = Path::new(group).strip_prefix(&root).ok().filter(|_| is_cpu)?;
         // No slash behind the mount.
-        Some(Path::new(mount).join(below).components().collect())
+        Some(Path::new(&mount).join(below).components().collect())
     })
 }
 
@@ -111,6 +118,9 @@ mod tests {
         assert_eq!(folder("/docker/1f/a", container), Some("/sys/fs/cgroup/cpu/a".into()));
         assert_eq!(folder("/docker/2", container), None);
         assert_eq!(folder("/docker/1f", ""), None);
+        let slice = "83 82 0:29 /a\\134x2db.slice /sys/fs/cgroup/cpu ro - cgroup cgroup rw,cpu\n";
+        assert_eq!(folder("/a\\x2db.slice", slice), Some("/sys/fs/cgroup/cpu".into()));
+        assert_eq!(folder("/../x", host), None);
     }
 
     #[test]

@@ -46,6 +46,8 @@ pub enum Part {
 
 /// The newest glibc that is demanded: Ubuntu 22.04 has it.
 const NEWEST_GLIBC: Version = (2, 35);
+/// The newest symbols of its libstdc++, behind `GLIBCXX_3.`.
+const NEWEST_GLIBCXX: Version = (4, 30);
 type Version = (u32, u32);
 
 const VERSION: &str = env!("CARGO_PKG_VERSION");
@@ -72,6 +74,9 @@ pub fn run(
     let is_made = |part: &Part| distributions.iter().any(|of| part.is_made(architecture, *of));
     let all: Vec<_> = Part::value_variants().iter().copied().filter(is_made).collect();
     let named = if named.is_empty() { &all } else { named };
+    if named.is_empty() {
+        steps.skip("dist", &format!("nothing is made for {architecture} and this ROS 2"));
+    }
     for part in not_made(named, architecture, distributions) {
         let distributions = distributions.iter().map(|of| word(*of)).collect::<Vec<_>>().join(" and ");
         let reason = format!("it is not made for {architecture} and {distributions}");
@@ -349,7 +354,7 @@ fn tools() -> PathBuf {
     machine::target_dir().join("dist-tools")
 }
 
-/// The newest glibc that one of these files needs, which is no newer than `limit`.
+/// The newest glibc that one of these files needs, which is no newer than `limit`. Nor is their libstdc++ newer than Ubuntu 22.04's, if glibc is not.
 fn newest_glibc(objdump: &str, files: &[PathBuf], limit: Version) -> Result<Version, String> {
     let mut newest = (2, 17);
     for file in files {
@@ -358,27 +363,33 @@ fn newest_glibc(objdump: &str, files: &[PathBuf], limit: Version) -> Result<Vers
         if !output.status.success() {
             return Err(String::from_utf8_lossy(&output.stderr).trim().to_owned());
         }
-        for (version, symbol) in needed(&String::from_utf8_lossy(&output.stdout)) {
+        let table = String::from_utf8_lossy(&output.stdout);
+        let refuse = |library, (major, minor): Version, symbol, most: Version| {
+            Err(format!(
+                "{} needs {symbol} of {library}{major}.{minor}, and {}.{} is the newest allowed: build on an older system, such as Containerfile's",
+                file.display(),
+                most.0,
+                most.1
+            ))
+        };
+        for (version, symbol) in needed(&table, "GLIBC_") {
             if version > limit {
-                return Err(format!(
-                    "{} needs {symbol} of glibc {}.{}, and {}.{} is the newest allowed: build on an older system, such as Containerfile's",
-                    file.display(),
-                    version.0,
-                    version.1,
-                    limit.0,
-                    limit.1
-                ));
+                return refuse("glibc ", version, symbol, limit);
             }
             newest = newest.max(version);
+        }
+        let mut others = needed(&table, "GLIBCXX_3.").filter(|_| limit <= NEWEST_GLIBC);
+        if let Some((version, symbol)) = others.find(|(version, _)| *version > NEWEST_GLIBCXX) {
+            return refuse("libstdc++'s GLIBCXX_3.", version, symbol, NEWEST_GLIBCXX);
         }
     }
     Ok(newest)
 }
 
-/// Symbols of glibc and their versions, as `objdump -T` lists them.
-fn needed(table: &str) -> impl Iterator<Item = (Version, &str)> {
-    table.lines().filter_map(|line| {
-        let (_, version) = line.split_once("GLIBC_")?;
+/// Symbols whose version begins so, with what follows, as `objdump -T` lists them.
+fn needed<'t>(table: &'t str, begin: &'t str) -> impl Iterator<Item = (Version, &'t str)> {
+    table.lines().filter_map(move |line| {
+        let (_, version) = line.split_once(begin)?;
         let (version, symbol) = version.split_once(|letter: char| letter.is_whitespace() || letter == ')')?;
         let mut numbers = version.split('.').map(str::parse);
         Some(((numbers.next()?.ok()?, numbers.next()?.ok()?), symbol.trim()))
@@ -422,9 +433,12 @@ mod tests {
 0000000000000000  w   DF *UND*\t0000000000000000  GLIBC_2.2.5 free
 00000000000251c0 g    DF .text\t0000000000000027  Base        rmw_init
 0000000000000000      DF *UND*\t0000000000000000 (GLIBCXX_3.4) _ZdlPv
+0000000000000000      DF *UND*\t0000000000000000 (GLIBCXX_3.4.32) _ZSt21ios_base_library_initv
 ";
-        let found: Vec<_> = needed(table).collect();
+        let found: Vec<_> = needed(table, "GLIBC_").collect();
         assert_eq!(found, [((2, 34), "timer_create"), ((2, 2), "free")]);
+        let found: Vec<_> = needed(table, "GLIBCXX_3.").collect();
+        assert_eq!(found, [((4, 32), "_ZSt21ios_base_library_initv")]);
     }
 
     #[test]

@@ -96,8 +96,7 @@ pub fn run(quick: bool, minutes: Option<u64>, parts: &[Part]) -> Result<(), Stri
     parts.iter().try_for_each(|part| update(part.document().as_ref(), *part, &json(part)))
 }
 
-/// Puts the tables of a run between their marks in `document`, and the comparison's excerpt where those look who
-/// find the project.
+/// Puts the tables of a run between their marks in `document`, and the comparison's excerpt into the first pages.
 fn update(document: &Path, part: Part, json: &Path) -> Result<(), String> {
     let tables = part.tables(json)?;
     write(document, &word(part), &tables)?;

@@ -215,8 +215,7 @@ impl Model {
         let min_distance = if jitter > 0 && rng.random_bool(0.3) { rng.random_range(0..=period) } else { 0 };
         let is_unseen = self.executors[core].is_some() && triggers.is_empty() && !is_outside;
         let budget = match rng.random_range(0..12) {
-            _ if is_unseen => Budget::Tell,
-            _ if waits => Budget::Tell,
+            _ if is_unseen || waits => Budget::Tell,
             0 => Budget::Demote,
             // rmw_tautline enforces no other, and none of timers, which it does not see.
             _ if self.executors[core].is_some() => Budget::Tell,

@@ -242,7 +242,10 @@ impl Program {
         let (to_last, to_said) = (last.clone(), said.clone());
         std::thread::spawn(move || {
             for line in BufReader::new(output).lines().map_while(Result::ok) {
-                *to_last.lock().unwrap() = serde_json::from_str(&line).unwrap();
+                let numbers: Value = serde_json::from_str(&line).unwrap();
+                let program = if numbers["rmw"].is_string() { "bridge-ros" } else { "gateway" };
+                let is_as_said = schemas::compare(program, &numbers);
+                *to_last.lock().unwrap() = is_as_said.map_or_else(Value::String, |()| numbers);
             }
         });
         std::thread::spawn(move || {
@@ -265,10 +268,7 @@ impl Program {
     /// The numbers that it printed last.
     pub fn stats(&self) -> Value {
         let numbers = self.last.lock().unwrap().clone();
-        if numbers.is_object() {
-            let program = if numbers["rmw"].is_string() { "bridge-ros" } else { "gateway" };
-            schemas::check_as(program, numbers.to_string().as_bytes());
-        }
+        assert!(!numbers.is_string(), "{numbers}");
         numbers
     }
 

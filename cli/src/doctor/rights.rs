@@ -115,10 +115,22 @@ pub fn cgroup(host: &Host) -> Checked {
     if runtime != "0" {
         return Ok(Finding::good(format!("group {group} has {runtime} µs of each period")));
     }
+    // A container has its own group alone, where those above are not.
+    let leave = folder.to_str().and_then(|folder| folder.strip_suffix(group));
+    let leave = leave.map(|mount| format!("echo $$ > {mount}/cgroup.procs"));
+    let fix = match &leave {
+        Some(leave) => format!(
+            "start the programs in the root group: {leave}; or give each group down to this one a runtime"
+        ),
+        None => {
+            "start the container with --cpu-rt-runtime=950000; each group above it needs as much".to_owned()
+        }
+    };
+    let script = leave.map(|leave| format!("# In the shell that starts the programs: {leave}"));
     Ok(Finding::new(Verdict::Bad, format!("group {group} has no real-time runtime ({file} is 0)"))
         .costs(REFUSED)
-        .fix("start the programs in the root group: echo $$ > /sys/fs/cgroup/cpu/cgroup.procs; or give each group down to this one a runtime, a container with --cpu-rt-runtime=950000")
-        .script(["# In the shell that starts the programs: echo $$ > /sys/fs/cgroup/cpu/cgroup.procs"]))
+        .fix(fix)
+        .script(script))
 }
 
 /// Users below this number are the system's, whose files logind leaves alone (SYS_UID_MAX).

@@ -46,14 +46,17 @@ pub fn check<'a>(args: impl Iterator<Item = &'a OsStr>, out: &[u8]) {
 /// Checks what this verb has printed, such as `topic-list`.
 #[track_caller]
 pub fn check_as(verb: &str, out: &[u8]) {
-    let text = std::fs::read(folder().join(format!("{verb}.json"))).unwrap();
-    let schema: Value = serde_json::from_slice(&text).unwrap();
     for value in serde_json::Deserializer::from_slice(out).into_iter::<Value>() {
         let value = value.unwrap_or_else(|error| panic!("{verb}: {error}"));
-        if let Err(reason) = accepts(&schema, &value) {
-            panic!("{verb}: {reason}\n{value:#}");
-        }
+        compare(verb, &value).unwrap_or_else(|reason| panic!("{reason}"));
     }
+}
+
+/// What differs from the verb's schema, and in which value.
+pub fn compare(verb: &str, value: &Value) -> Result<(), String> {
+    let text = std::fs::read(folder().join(format!("{verb}.json"))).unwrap();
+    let schema: Value = serde_json::from_slice(&text).unwrap();
+    accepts(&schema, value).map_err(|reason| format!("{verb}: {reason}\n{value:#}"))
 }
 
 /// Whether a schema accepts a value; if not, the first reason.

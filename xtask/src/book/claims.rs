@@ -400,10 +400,18 @@ fn who_finds_it_reads_the_same_five_sentences() {
     let begin = crate_page.lines().skip(1).map_while(|line| line.strip_prefix("//! "));
     assert_eq!(whole(begin.collect()), five);
     assert_eq!(read(&root.join("docs/introduction.md")).trim(), "{{#include ../README.md}}");
-    // As it does on pages that know no other file of the repository.
+    // Relative links are dead on crates.io and PyPI.
     let is_near = |range: &std::ops::Range<usize>| !readme[range.clone()].contains("://");
     let near: Vec<_> = super::links::targets(&readme).into_iter().filter(is_near).collect();
     assert_eq!(near.into_iter().map(|range| &readme[range]).collect::<Vec<_>>(), Vec::<&str>::new());
+    let folded = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ").to_lowercase();
+    let (labels, prose): (Vec<_>, Vec<_>) = readme.lines().partition(|line| line.contains("]: http"));
+    let prose = folded(&prose.join(" "));
+    let labels = labels.iter().filter_map(|line| Some(line.split_once(": ")?.0));
+    assert_eq!(
+        labels.filter(|label| !prose.contains(&folded(label))).collect::<Vec<_>>(),
+        Vec::<&str>::new()
+    );
     assert!(readme.contains(&read(&root.join("node/src/comparison.md"))));
     for page in [&readme, &crate_page] {
         for part in

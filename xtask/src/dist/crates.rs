@@ -9,7 +9,7 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-/// What a user begins with, in a workspace with all that is published.
+/// What a user begins with.
 const PROGRAM: &str = r#"
 use tautline::{Context, Node, Qos, geometry_msgs::msg::Twist};
 
@@ -74,10 +74,16 @@ pub fn make(out: &Path, of: Build) -> Result<(), String> {
         );
         let source = work.join("registry.toml");
         fs::write(&source, from).map_err(say)?;
-        execute(cargo("build --offline --package program --config").arg(&source).current_dir(&work))?;
-        let mut install = cargo("install --debug --offline --no-track --root installed --version");
+        execute(
+            cargo("build --offline --package program --target-dir target --config")
+                .arg(&source)
+                .current_dir(&work),
+        )?;
+        let mut install =
+            cargo("install --debug --offline --no-track --root installed --target-dir target --version");
         install.arg(version).arg("--config").arg(&source);
-        return execute(install.args(super::PACKAGES).current_dir(&work));
+        execute(install.args(super::PACKAGES).current_dir(&work))?;
+        return fs::remove_dir_all(&work).map_err(say);
     }
     unpack(&work)?;
     let patch = |name: &String| format!("{name} = {{ path = \"{name}-{version}\" }}\n");

@@ -17,7 +17,7 @@ pack_wheel() {
     cp "$OUT/work/$notices.txt" "$info/licenses/THIRD-PARTY-NOTICES.txt"
     # What `cargo xtask dist --only sbom` has made.
     case $name in taut) sbom=taut ;; *) sbom=rmw_tautline ;; esac
-    if [ -d "$OUT/sbom" ]; then mkdir "$info/sboms" && cp "$OUT/sbom/$sbom"*.cdx.json "$info/sboms"; fi
+    if [ -d "$OUT/sbom" ] && [ "$BUILT" = "$HERE" ]; then mkdir "$info/sboms" && cp "$OUT/sbom/$sbom"*.cdx.json "$info/sboms"; fi
     { cat <<END
 Metadata-Version: 2.4
 Name: $name
@@ -43,7 +43,8 @@ END
     sed "s/@NAME@/$name/; s/@VERSION@/$VERSION/; s/@MACHINES@/$machines/; s/@GLIBC@/$GLIBC/" \
         "$REPOSITORY/xtask/src/dist/no_wheel.py" > "$source/no_wheel.py"
     printf '[build-system]\nrequires = []\nbuild-backend = "no_wheel"\nbackend-path = ["."]\n' > "$source/pyproject.toml"
-    archive "$OUT/pypi/$module-$VERSION.tar.gz" "$OUT/work" "$module-$VERSION"
+    source=$OUT/pypi/$module-$VERSION.tar.gz
+    if [ ! -e "$source" ] || [ "$BUILT" = "$HERE" ]; then archive "$source" "$OUT/work" "$module-$VERSION"; fi
     { echo; cat "$REPOSITORY/README.md"; } >> "$info/METADATA"
     printf 'Wheel-Version: 1.0\nGenerator: cargo xtask dist\nRoot-Is-Purelib: false\nTag: py3-none-manylinux_%s_%s\n' \
         "$(echo "$GLIBC" | tr . _)" "$MACHINE" > "$info/WHEEL"
