@@ -79,13 +79,15 @@ pub fn group(rng: &mut StdRng, order: Order) -> Model {
     let count = model.callbacks.len();
     model.groups[HERE] = order;
     model.executors[HERE] = is_ranked.then_some(0);
-    for sensor in 0..count {
+    let mut sensor = 0;
+    while sensor < count {
         let wcet = rng.random_range(1..=model.callbacks[sensor].period);
         let (depth, priority) = (rng.random_range(1..=4), rng.random_range(1..=4));
         let mut triggers = vec![sensor];
-        if is_ranked && sensor > 0 && rng.random_bool(0.5) {
-            triggers.insert(0, rng.random_range(0..sensor));
+        if is_ranked && sensor + 1 < count && rng.random_bool(0.5) {
+            triggers.push(sensor + 1);
         }
+        sensor += triggers.len();
         let join = (triggers.len() > 1 && rng.random_bool(0.5)).then_some((Matching::Newest, 1));
         let group = Some(HERE);
         model.callbacks.push(Callback { wcet, depth, priority, group, join, ..callback(HERE, triggers) });
