@@ -47,10 +47,6 @@ pub fn most() -> String {
     LATER.iter().fold(WHOLE.to_owned(), |most, package| most + " --exclude " + package)
 }
 
-/// Gives what Rust's standard library asks for only weakly, and glibc has from 2.39 on, the address that says it is missing: the linker of a
-/// system that has it would demand that glibc.
-pub const OLD_GLIBC: &str = "-Clink-arg=-Wl,--defsym=pidfd_spawnp=0,--defsym=pidfd_getpid=0";
-
 /// Builds; what is to be run later is then there.
 pub fn build(command: &mut Command) -> Result<(), String> {
     execute(command).map_err(|reason| format!("the build failed: {reason}"))

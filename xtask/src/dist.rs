@@ -15,10 +15,10 @@
 mod crates;
 mod licences;
 
-use crate::build::{Build, OLD_GLIBC, SAME};
+use crate::build::{Build, SAME};
 use crate::guests::debian::{self, Architecture};
 use crate::ros::Distribution;
-use crate::steps::{Outcome, Steps, cargo, execute};
+use crate::steps::{Outcome, Steps, cargo, execute, stdout_of};
 use crate::{machine, pages, r2r, rmw, ros, word};
 use clap::ValueEnum;
 use std::fs;
@@ -44,11 +44,15 @@ pub enum Part {
     RmwDeb,
 }
 
-/// The newest glibc that is demanded: Ubuntu 22.04 has it.
+/// The newest glibc and libstdc++ that are demanded, by how the versions of their symbols begin: Ubuntu 22.04 has them.
+const NEWEST: [(&str, Version); 2] = [(GLIBC, NEWEST_GLIBC), ("GLIBCXX_3.", (4, 30))];
+const GLIBC: &str = "GLIBC_";
 const NEWEST_GLIBC: Version = (2, 35);
-/// The newest symbols of its libstdc++, behind `GLIBCXX_3.`.
-const NEWEST_GLIBCXX: Version = (4, 30);
 type Version = (u32, u32);
+
+/// Gives what Rust's standard library asks for only weakly, and glibc has from 2.39 on, the address that says it is missing: the linker of a system
+/// that has it would demand that glibc. In rmw_tautline nothing asks for it.
+const OLD_GLIBC: &str = "-Clink-arg=-Wl,--defsym=pidfd_spawnp=0,--defsym=pidfd_getpid=0";
 
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
@@ -244,10 +248,17 @@ impl Dist {
         }
     }
 
-    /// The newest glibc that these files need. What the tests make stays on this machine.
+    /// The newest glibc that these files need. What the tests make stays on this machine; of a release none may need more than [`NEWEST`].
     fn glibc(&self, files: &[PathBuf]) -> Result<Version, String> {
-        let limit = if self.of == Build::Release { NEWEST_GLIBC } else { (u32::MAX, 0) };
-        newest_glibc(&self.architecture.tool("objdump"), files, limit)
+        let mut newest = (2, 17);
+        for file in files {
+            let table = stdout_of(Command::new(self.architecture.tool("objdump")).arg("-T").arg(file))?;
+            if self.of == Build::Release {
+                refuse_newer(&table).map_err(|reason| format!("{} {reason}", file.display()))?;
+            }
+            newest = needed(&table, GLIBC).map(|(version, _)| version).fold(newest, Version::max);
+        }
+        Ok(newest)
     }
 
     fn make(&self, steps: &mut Steps, mut parts: Vec<Part>) {
@@ -354,36 +365,17 @@ fn tools() -> PathBuf {
     machine::target_dir().join("dist-tools")
 }
 
-/// The newest glibc that one of these files needs, which is no newer than `limit`. Nor is their libstdc++ newer than Ubuntu 22.04's, if glibc is not.
-fn newest_glibc(objdump: &str, files: &[PathBuf], limit: Version) -> Result<Version, String> {
-    let mut newest = (2, 17);
-    for file in files {
-        let output = Command::new(objdump).arg("-T").arg(file).output();
-        let output = output.map_err(|error| format!("{objdump} (Debian: binutils): {error}"))?;
-        if !output.status.success() {
-            return Err(String::from_utf8_lossy(&output.stderr).trim().to_owned());
-        }
-        let table = String::from_utf8_lossy(&output.stdout);
-        let refuse = |library, (major, minor): Version, symbol, most: Version| {
-            Err(format!(
-                "{} needs {symbol} of {library}{major}.{minor}, and {}.{} is the newest allowed: build on an older system, such as Containerfile's",
-                file.display(),
-                most.0,
-                most.1
-            ))
-        };
-        for (version, symbol) in needed(&table, "GLIBC_") {
-            if version > limit {
-                return refuse("glibc ", version, symbol, limit);
-            }
-            newest = newest.max(version);
-        }
-        let mut others = needed(&table, "GLIBCXX_3.").filter(|_| limit <= NEWEST_GLIBC);
-        if let Some((version, symbol)) = others.find(|(version, _)| *version > NEWEST_GLIBCXX) {
-            return refuse("libstdc++'s GLIBCXX_3.", version, symbol, NEWEST_GLIBCXX);
+/// An error says which symbol of this table is newer than [`NEWEST`].
+fn refuse_newer(table: &str) -> Result<(), String> {
+    for (begin, most) in NEWEST {
+        if let Some(((major, minor), symbol)) = needed(table, begin).find(|(version, _)| *version > most) {
+            return Err(format!(
+                "needs {symbol} of {begin}{major}.{minor}, and {begin}{}.{} is the newest allowed: build on an older system, such as Containerfile's",
+                most.0, most.1
+            ));
         }
     }
-    Ok(newest)
+    Ok(())
 }
 
 /// Symbols whose version begins so, with what follows, as `objdump -T` lists them.
@@ -442,11 +434,39 @@ mod tests {
     }
 
     #[test]
-    fn a_symbol_of_a_newer_glibc_is_named_with_its_file() {
-        let own = [std::env::current_exe().unwrap()];
-        assert!(newest_glibc("objdump", &own, (2, 99)).unwrap() > (2, 17));
-        let refusal = newest_glibc("objdump", &own, (2, 2)).unwrap_err();
-        assert!(refusal.starts_with(&format!("{} needs ", own[0].display())), "{refusal}");
-        assert!(refusal.contains("2.2 is the newest allowed"), "{refusal}");
+    fn a_symbol_of_a_newer_library_is_named() {
+        let line =
+            |version: &str| format!("0000000000000000      DF *UND*\t0000000000000000 ({version}) f\n");
+        for version in ["GLIBC_2.35", "GLIBCXX_3.4.30", "GLIBC_2.4"] {
+            assert_eq!(refuse_newer(&line(version)), Ok(()));
+        }
+        for (version, most) in [("GLIBC_2.39", "GLIBC_2.35"), ("GLIBCXX_3.4.32", "GLIBCXX_3.4.30")] {
+            let refusal = refuse_newer(&(line("GLIBC_2.34") + &line(version))).unwrap_err();
+            assert!(
+                refusal.starts_with(&format!("needs f of {version}, and {most} is the newest allowed")),
+                "{refusal}"
+            );
+        }
+    }
+
+    /// Whichever glibc this machine has: with one from 2.39 on, a program without the flag demands that.
+    #[test]
+    fn what_the_standard_library_asks_for_weakly_is_not_asked_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let source = folder.path().join("a.rs");
+        fs::write(
+            &source,
+            "fn main() { assert!(std::process::Command::new(\"true\").status().unwrap().success()) }",
+        )
+        .unwrap();
+        let asks = |flags: &[&str]| {
+            let program = folder.path().join("a");
+            execute(Command::new("rustc").args(flags).arg("-o").arg(&program).arg(&source)).unwrap();
+            execute(&mut Command::new(&program)).unwrap();
+            let table = stdout_of(Command::new("objdump").arg("-T").arg(&program)).unwrap();
+            table.lines().any(|line| line.contains("*UND*") && line.contains("pidfd_"))
+        };
+        assert!(asks(&[]), "it no longer does: the flag can go");
+        assert!(!asks(&[OLD_GLIBC]));
     }
 }

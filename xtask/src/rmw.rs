@@ -4,7 +4,7 @@
 pub mod cross;
 
 use crate::bridge::{nextest, programs, with_libraries};
-use crate::build::{Build, OLD_GLIBC, TARGETS, build};
+use crate::build::{Build, TARGETS, build};
 use crate::r2r::Environment;
 use crate::ros::Distribution;
 use crate::steps::{Steps, announce, cargo};
@@ -43,8 +43,7 @@ fn python() -> Option<PathBuf> {
 /// The library, and the environment that it was built in.
 pub fn build_for_use() -> Result<Environment, String> {
     let environment = r2r::environment()?;
-    let mut command = cargo(&format!("build --release {LIBRARY}"));
-    build(with_libraries(&environment, &mut command).env("CARGO_ENCODED_RUSTFLAGS", OLD_GLIBC))?;
+    build(with_libraries(&environment, &mut cargo(&format!("build --release {LIBRARY}"))))?;
     Ok(environment)
 }
 

@@ -59,7 +59,8 @@ impl Domain {
     /// One that is written here, with rclpy.
     pub fn python(&self, program: &str) -> Command {
         let mut command = self.command(self.venv.join("bin/python"));
-        command.args(["-c", program]);
+        // What it prints in a line is one write, which no log line of another thread divides.
+        command.args(["-c", program]).env_remove("PYTHONUNBUFFERED");
         command
     }
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The published crates: packed as for crates.io, and used by a program that has nothing else of this repository.
 
+use super::VERSION;
 use crate::build::Build;
 use crate::machine;
 use crate::steps::{cargo, execute};
@@ -21,8 +22,7 @@ fn main() -> tautline::Result<()> {
 }
 "#;
 
-/// Packs them into `crates` of this folder, and checks that they are enough. Of a release from a copy of the registry that has them, and nothing of this
-/// repository: that program is built and the others are installed, in minutes. In CI that program is checked, with what is built already.
+/// Packs them into `crates` of this folder, and checks that they are enough.
 pub fn make(out: &Path, of: Build) -> Result<(), String> {
     let (target, to) = (machine::target_dir(), out.join("crates"));
     let names = published()?;
@@ -31,71 +31,81 @@ pub fn make(out: &Path, of: Build) -> Result<(), String> {
     // What is published is what is committed.
     package.args((of == Build::Tests).then_some("--allow-dirty")).arg("--target-dir").arg(&target);
     execute(&mut package)?;
-    let say = |error: std::io::Error| format!("{}: {error}", to.display());
-    let (work, version) = (out.join("work/crates"), super::VERSION);
+    let work = out.join("work/crates");
     for folder in [&to, &work] {
         let _ = fs::remove_dir_all(folder);
-        fs::create_dir_all(folder).map_err(say)?;
+        fs::create_dir_all(folder).map_err(|error| format!("{}: {error}", folder.display()))?;
     }
     for name in &names {
-        let file = format!("{name}-{version}.crate");
-        fs::copy(target.join("package").join(&file), to.join(&file)).map_err(say)?;
+        let file = format!("{name}-{VERSION}.crate");
+        let copied = fs::copy(target.join("package").join(&file), to.join(&file));
+        copied.map_err(|error| format!("{file}: {error}"))?;
     }
-    let unpack = |into: &Path| {
-        let unpack = "for crate in \"$0\"/*.crate; do tar -xzf \"$crate\" -C \"$1\"; done";
-        execute(Command::new("sh").args(["-euc", unpack]).arg(&to).arg(into))
+    match of {
+        Build::Release => use_registry(&names, &to, &work),
+        Build::Tests => use_patch(&names, &to, &work),
+    }
+}
+
+/// Builds the program and installs the others, in minutes, from a copy of the registry that has these crates, and nothing of this repository.
+fn use_registry(names: &[String], crates: &Path, work: &Path) -> Result<(), String> {
+    let (registry, source) = (work.join("registry"), work.join("registry.toml"));
+    let mut copy = cargo("vendor --quiet --locked --versioned-dirs");
+    execute(copy.arg(&registry).current_dir(machine::root()).stdout(Stdio::null()))?;
+    unpack(crates, &registry)?;
+    for name in names {
+        write(&registry.join(format!("{name}-{VERSION}/.cargo-checksum.json")), "{\"files\":{}}")?;
+    }
+    let from = "[source.crates-io]\nreplace-with = \"packed\"\n[source.packed]\ndirectory";
+    write(&source, &format!("{from} = {registry:?}\n"))?;
+    write_program(work, "", "")?;
+    let from_registry = |command: &str| {
+        let mut command = cargo(&format!("{command} --offline --target-dir target --config"));
+        command.arg(&source).current_dir(work);
+        command
     };
-    let begin = |manifest: &str, dependency: &str| {
-        let program = format!(
-            "[package]\nname = \"program\"\nedition = \"2024\"\n[dependencies]\ntautline = \"{version}\"\n{dependency}"
-        );
-        fs::write(
-            work.join("Cargo.toml"),
-            format!("[workspace]\nmembers = [\"program\"]\nresolver = \"3\"\n{manifest}"),
-        )
-        .and_then(|()| fs::create_dir_all(work.join("program/src")))
-        .and_then(|()| fs::write(work.join("program/Cargo.toml"), program))
-        .and_then(|()| fs::write(work.join("program/src/main.rs"), PROGRAM))
-        .map_err(say)
-    };
+    execute(&mut from_registry("build --package program"))?;
+    let mut install = from_registry("install --debug --no-track --root installed");
+    execute(install.args(["--version", VERSION]).args(super::PACKAGES))?;
+    fs::remove_dir_all(work).map_err(|error| format!("{}: {error}", work.display()))
+}
+
+/// Checks the program with what is built already: other packages have the versions and, where much is built, the features that the repository's builds
+/// have.
+fn use_patch(names: &[String], crates: &Path, work: &Path) -> Result<(), String> {
+    unpack(crates, work)?;
+    let patch = |name: &String| format!("{name} = {{ path = \"{name}-{VERSION}\" }}\n");
     let root = machine::root();
-    if of == Build::Release {
-        let registry = work.join("registry");
-        let mut copy = cargo("vendor --quiet --locked --versioned-dirs");
-        execute(copy.arg(&registry).current_dir(&root).stdout(Stdio::null()))?;
-        unpack(&registry)?;
-        for name in &names {
-            let file = registry.join(format!("{name}-{version}/.cargo-checksum.json"));
-            fs::write(file, "{\"files\":{}}").map_err(say)?;
-        }
-        begin("", "")?;
-        let from = format!(
-            "[source.crates-io]\nreplace-with = \"packed\"\n[source.packed]\ndirectory = {registry:?}\n"
-        );
-        let source = work.join("registry.toml");
-        fs::write(&source, from).map_err(say)?;
-        execute(
-            cargo("build --offline --package program --target-dir target --config")
-                .arg(&source)
-                .current_dir(&work),
-        )?;
-        let mut install =
-            cargo("install --debug --offline --no-track --root installed --target-dir target --version");
-        install.arg(version).arg("--config").arg(&source);
-        execute(install.args(super::PACKAGES).current_dir(&work))?;
-        return fs::remove_dir_all(&work).map_err(say);
-    }
-    unpack(&work)?;
-    let patch = |name: &String| format!("{name} = {{ path = \"{name}-{version}\" }}\n");
-    // Of other packages it has the versions and, where much is built, the features that the repository's builds have.
-    let features = root.join("xtask/host-features");
-    begin(
+    write_program(
+        work,
         &format!("[patch.crates-io]\n{}", names.iter().map(patch).collect::<String>()),
-        &format!("xtask-host-features = {{ path = {features:?} }}\n"),
+        &format!("xtask-host-features = {{ path = {:?} }}\n", root.join("xtask/host-features")),
     )?;
-    fs::copy(root.join("Cargo.lock"), work.join("Cargo.lock")).map_err(say)?;
-    let mut check = cargo("check --offline --package program");
-    execute(check.arg("--manifest-path").arg(work.join("Cargo.toml")).arg("--target-dir").arg(target))
+    let locked = fs::copy(root.join("Cargo.lock"), work.join("Cargo.lock"));
+    locked.map_err(|error| format!("{}: {error}", work.display()))?;
+    let mut check = cargo("check --offline --package program --target-dir");
+    execute(check.arg(machine::target_dir()).current_dir(work))
+}
+
+fn unpack(crates: &Path, to: &Path) -> Result<(), String> {
+    let unpack = "for crate in \"$0\"/*.crate; do tar -xzf \"$crate\" -C \"$1\"; done";
+    execute(Command::new("sh").args(["-euc", unpack]).arg(crates).arg(to))
+}
+
+/// [`PROGRAM`] in a workspace, whose manifest ends so, with one more dependency.
+fn write_program(work: &Path, end: &str, dependency: &str) -> Result<(), String> {
+    let package = "[package]\nname = \"program\"\nedition = \"2024\"\n[dependencies]\ntautline";
+    write(
+        &work.join("Cargo.toml"),
+        &format!("[workspace]\nmembers = [\"program\"]\nresolver = \"3\"\n{end}"),
+    )?;
+    write(&work.join("program/Cargo.toml"), &format!("{package} = \"{VERSION}\"\n{dependency}"))?;
+    write(&work.join("program/src/main.rs"), PROGRAM)
+}
+
+fn write(path: &Path, text: &str) -> Result<(), String> {
+    let made = path.parent().map_or(Ok(()), fs::create_dir_all);
+    made.and_then(|()| fs::write(path, text)).map_err(|error| format!("{}: {error}", path.display()))
 }
 
 /// Names of the packages that are not kept from it. Each has what crates.io and docs.rs show.

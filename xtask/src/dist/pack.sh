@@ -6,6 +6,9 @@ mkdir -p "$OUT/work"
 # What it is, as the README begins: a paragraph, and its first sentence.
 about=$(sed -n '3,/^$/p' "$REPOSITORY/README.md") first=$(sed -n '3s/\. .*//p' "$REPOSITORY/README.md")
 
+# Whether it is this machine's programs that are packed.
+is_own() { [ "$BUILT" = "$HERE" ]; }
+
 # $1 is the project, $2 its summary; the rest are more fields. The folder $wheel is packed.
 pack_wheel() {
     name=$1 summary=$2 module=$(echo "$1" | tr - _)
@@ -17,7 +20,7 @@ pack_wheel() {
     cp "$OUT/work/$notices.txt" "$info/licenses/THIRD-PARTY-NOTICES.txt"
     # What `cargo xtask dist --only sbom` has made.
     case $name in taut) sbom=taut ;; *) sbom=rmw_tautline ;; esac
-    if [ -d "$OUT/sbom" ] && [ "$BUILT" = "$HERE" ]; then mkdir "$info/sboms" && cp "$OUT/sbom/$sbom"*.cdx.json "$info/sboms"; fi
+    if [ -d "$OUT/sbom" ] && is_own; then mkdir "$info/sboms" && cp "$OUT/sbom/$sbom"*.cdx.json "$info/sboms"; fi
     { cat <<END
 Metadata-Version: 2.4
 Name: $name
@@ -43,8 +46,9 @@ END
     sed "s/@NAME@/$name/; s/@VERSION@/$VERSION/; s/@MACHINES@/$machines/; s/@GLIBC@/$GLIBC/" \
         "$REPOSITORY/xtask/src/dist/no_wheel.py" > "$source/no_wheel.py"
     printf '[build-system]\nrequires = []\nbuild-backend = "no_wheel"\nbackend-path = ["."]\n' > "$source/pyproject.toml"
-    source=$OUT/pypi/$module-$VERSION.tar.gz
-    if [ ! -e "$source" ] || [ "$BUILT" = "$HERE" ]; then archive "$source" "$OUT/work" "$module-$VERSION"; fi
+    # One for all machines: that of this one stays.
+    sdist=$OUT/pypi/$module-$VERSION.tar.gz
+    if is_own || [ ! -e "$sdist" ]; then archive "$sdist" "$OUT/work" "$module-$VERSION"; fi
     { echo; cat "$REPOSITORY/README.md"; } >> "$info/METADATA"
     printf 'Wheel-Version: 1.0\nGenerator: cargo xtask dist\nRoot-Is-Purelib: false\nTag: py3-none-manylinux_%s_%s\n' \
         "$(echo "$GLIBC" | tr . _)" "$MACHINE" > "$info/WHEEL"

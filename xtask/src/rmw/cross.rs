@@ -33,7 +33,6 @@ pub fn build(architecture: Architecture) -> Result<(), String> {
     let mut command = cargo(&format!("build --release {LIBRARY}"));
     debian::cross(&mut command, architecture)?.envs(r2r::libclang()?);
     command.env("AMENT_PREFIX_PATH", prefix).env("ROS_DISTRO", ros::distribution()).env_remove(r2r::RPATH);
-    command.env("CARGO_ENCODED_RUSTFLAGS", build::OLD_GLIBC);
     // Where Debian has the other machine's headers, and its compiler its own.
     let own = stdout_of(Command::new(architecture.tool("gcc")).arg("-print-file-name=include"))?;
     let includes = format!("-I{} -I/usr/{}-linux-gnu/include", own.trim(), architecture.name());
