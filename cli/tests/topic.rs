@@ -228,6 +228,24 @@ fn what_was_expected_decides_the_exit_code() {
     assert!(ages["stamp_to_publish_ms"]["p50"].as_f64() > Some(3e6), "an hour and more: {report}");
     stop.send(()).unwrap();
     thread.join().unwrap();
+    // Nor is nothing what was expected.
+    let (code, words) = refused(&["topic", "hz", "/none", "--expect", "1.."]);
+    assert!(code == 1 && words.contains("waited for topic '/none' to exist in domain 96 for 5s"), "{words}");
+    let _silent = self::publisher(&participant, "/silent", Qos::default());
+    let (code, words) = refused(&["topic", "delay", "/silent", "--max", "1h", "--timeout", "100ms"]);
+    assert!(code == 1 && words.contains("no message came on '/silent'"), "{words}");
+}
+
+#[test]
+fn a_verb_ends_in_time_however_fast_messages_come() {
+    let participant = enter(98);
+    let publisher = publisher(&participant, "/fast", Qos::keep_last(100));
+    let (stop, thread) = flow(publisher, 1e9, message(&json!({})));
+    for verb in [&["echo", "/fast"][..], &["echo", "/fast", "--raw"], &["delay", "/fast"], &["hz", "/fast", "--take"]] {
+        taut(&[&["topic"], verb, &["--timeout", "300ms"]].concat());
+    }
+    stop.send(()).unwrap();
+    thread.join().unwrap();
 }
 
 /// Publishes `/clock`, twenty times as fast as the system's, until told to stop.

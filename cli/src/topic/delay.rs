@@ -127,7 +127,9 @@ pub fn run(args: &DelayArgs, common: &CommonArgs) -> Outcome {
         if !args.sim_time {
             clock.warn(true);
         }
-        loop {
+        // Messages may come faster than they are read.
+        let begun = Instant::now();
+        while begun.elapsed() < args.every && !end.is_reached() {
             let sample = match subscription.try_take() {
                 Ok(Some(sample)) => sample,
                 Ok(None) => break,
@@ -187,11 +189,12 @@ pub fn run(args: &DelayArgs, common: &CommonArgs) -> Outcome {
         let patience = patience.min(end.left().unwrap_or(Duration::MAX));
         seat.sleep(Some(monotonic_ns() + nanoseconds(patience)));
     }
-    let longest = Duration::from_nanos(all.values().map(|ages| ages.taken.max_ns()).max().unwrap_or(0));
-    match args.max.filter(|max| longest > *max) {
-        Some(max) => Err(Failure::no(format!(
+    let Some(max) = args.max else { return Ok(()) };
+    match all.values().map(|ages| Duration::from_nanos(ages.taken.max_ns())).max() {
+        None => Err(Failure::no(format!("no message came on '{topic}'"))),
+        Some(longest) if longest > max => Err(Failure::no(format!(
             "'{topic}': a message was taken {longest:?} after its publication, not {max:?}"
         ))),
-        None => Ok(()),
+        Some(_) => Ok(()),
     }
 }

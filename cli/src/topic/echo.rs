@@ -60,12 +60,11 @@ pub fn run(args: &EchoArgs, common: &CommonArgs) -> Outcome {
     let mut tap = Tap::open(domain, &topic, topic_type)?;
     let schema = if args.raw { None } else { Some(tap.schema(&end)?) };
     let wanted = if args.once { Some(1) } else { args.count };
-    let (mut printed, mut is_checked) = (0, false);
-    while wanted.is_none_or(|wanted| printed < wanted) {
+    let (mut printed, mut is_checked, mut is_over) = (0, false, false);
+    while !is_over && wanted.is_none_or(|wanted| printed < wanted) {
+        // Messages may come faster than they are printed.
+        is_over = end.is_reached();
         let Some(sample) = tap.take()? else {
-            if end.is_reached() {
-                break;
-            }
             if printed == 0 {
                 end.print_waiting_once(|| format!("a message on '{topic}'"));
             }

@@ -24,7 +24,9 @@ use tautline_transport::{EndpointKind, Gid, GraphSnapshot, Sent, Visitor};
 const SEEN_HZ: f64 = 400.0;
 /// The interval at which counts of faster publishers are read.
 const FAST_POLL: Duration = Duration::from_millis(50);
-/// The time that `--expect` measures by default.
+/// So many messages are taken in a row: they may come faster than they are read.
+const MOST_TAKEN: usize = 1000;
+/// The time that `--expect` measures by default, after a wait of at most as long for the topic.
 const EXPECT_TIME: Duration = Duration::from_secs(5);
 
 #[derive(Args, Clone, Debug)]
@@ -240,7 +242,8 @@ impl Meter {
                 Ok(if is_fast { FAST_POLL } else { POLL })
             }
             Source::Messages(tap) => {
-                while let Some(sample) = tap.take()? {
+                for _ in 0..MOST_TAKEN {
+                    let Some(sample) = tap.take()? else { return Ok(POLL) };
                     let info = sample.info();
                     let flow = flows.entry(info.publisher_gid).or_insert_with(|| {
                         let graph = tautline_transport::graph_of(self.domain).unwrap_or_default();
@@ -255,7 +258,7 @@ impl Meter {
                     }
                     flow.take(info.sequence_number, at_ns, sample.body().len());
                 }
-                Ok(POLL)
+                Ok(Duration::ZERO)
             }
         }
     }
@@ -384,21 +387,22 @@ fn is_elsewhere(graph: &GraphSnapshot, topic: &str) -> bool {
 }
 
 pub fn run(args: &RateArgs, unit: Unit, common: &CommonArgs) -> Outcome {
-    let end = End::of(common)?;
+    let mut end = if args.expect.is_some() { End::within(EXPECT_TIME, common)? } else { End::of(common)? };
     let (domain, topic) = (common.domain()?, full_name(&args.topic));
     let mut meter = Meter::start(domain, &topic, args, &end)?;
     let mut unused_clock = if args.sim_time { None } else { Some(SimClock::new(domain)?) };
-    let (start, mut since) = (Instant::now(), Instant::now());
-    let time = args.expect.as_ref().map(|_| common.timeout().unwrap_or(EXPECT_TIME));
-    let is_over = || end.is_reached() || time.is_some_and(|time| start.elapsed() >= time);
-    let mut next = start + args.every;
+    if args.expect.is_some() {
+        end.restart();
+    }
+    let mut since = Instant::now();
+    let mut next = since + args.every;
     loop {
         let pause = meter.update()?;
         if let Some(clock) = &mut unused_clock {
             clock.poll()?;
             clock.warn(false);
         }
-        let is_last = is_over();
+        let is_last = end.is_reached();
         if is_last || Instant::now() >= next {
             next += args.every;
             let mut out = crate::print::stdout();
@@ -411,7 +415,7 @@ pub fn run(args: &RateArgs, unit: Unit, common: &CommonArgs) -> Outcome {
                 writeln!(out, "{}\n", meter.explain())?;
             }
             out.flush()?;
-            if time.is_none() && since.elapsed() >= args.window {
+            if args.expect.is_none() && since.elapsed() >= args.window {
                 since = Instant::now();
                 meter.flows.values_mut().for_each(Flow::restart);
             }
@@ -419,8 +423,7 @@ pub fn run(args: &RateArgs, unit: Unit, common: &CommonArgs) -> Outcome {
         if is_last {
             break;
         }
-        let left = time.map(|time| time.saturating_sub(start.elapsed()));
-        end.pause(left.map_or(pause, |left| left.min(pause)));
+        end.pause(pause);
     }
     let Some(expected) = &args.expect else { return Ok(()) };
     let (found, what) = match unit {
