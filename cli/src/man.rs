@@ -66,7 +66,7 @@ fn write(args: &ManArgs, command: Command, with_top: bool) -> Outcome<usize> {
     pages.drain(..usize::from(!with_top));
     for (name, page) in &pages {
         let path = args.folder.join(name);
-        fs::write(&path, page).map_err(|error| failed(&path, error))?;
+        crate::replace::write(&path, page).map_err(|error| failed(&path, error))?;
     }
     Ok(pages.len())
 }

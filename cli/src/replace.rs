@@ -49,6 +49,8 @@ impl NewFile {
                 let _ = fchown(&self.file, Some(before.uid()), None);
                 self.file.set_permissions(Permissions::from_mode(before.mode() & 0o777))?;
             }
+            // Else it may be empty after a power cut.
+            self.file.sync_all()?;
             fs::rename(partial, &self.path)?;
             self.partial = None;
         }
@@ -116,13 +118,16 @@ fn is_named(file: &File, path: &Path) -> bool {
     one.is_some() && one == other
 }
 
-/// Replaces the file atomically.
-pub fn replace(path: &Path, text: &str) -> io::Result<()> {
-    // Follows a symbolic link, so that its target is replaced.
-    let path = fs::canonicalize(path)?;
-    let mut new = NewFile::create(&path)?;
-    new.write_all(text.as_bytes())?;
+/// Writes the file as [`NewFile`] does.
+pub fn write(path: &Path, content: impl AsRef<[u8]>) -> io::Result<()> {
+    let mut new = NewFile::create(path)?;
+    new.write_all(content.as_ref())?;
     new.finish()
+}
+
+/// Replaces the file that is there, or to which a symbolic link leads.
+pub fn replace(path: &Path, text: &str) -> io::Result<()> {
+    write(&fs::canonicalize(path)?, text)
 }
 
 #[cfg(test)]

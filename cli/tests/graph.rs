@@ -145,7 +145,7 @@ fn nodes_services_and_ends_of_topics_are_printed() {
     assert_eq!(text(&["topic", "info", "image"]), short);
     let long = text(&["topic", "info", "/image", "-v"]);
     for part in
-        ["Node name: camera", "Reliability: BEST_EFFORT", "KEEP_LAST (5)", "TRANSIENT_LOCAL", "abababab"]
+        ["Node name: camera", "Reliability: BEST_EFFORT", "KEEP_LAST (5)", "TRANSIENT_LOCAL", "abababab", "Liveliness: AUTOMATIC"]
     {
         assert!(long.contains(part), "{part}: {long}");
     }

@@ -5,6 +5,9 @@ mod support;
 
 use futures::StreamExt;
 use serde_json::{Value, json};
+use std::ffi::OsStr;
+use std::os::unix::ffi::OsStrExt;
+use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -93,4 +96,13 @@ fn what_runs_becomes_a_file() {
     let (code, _, words) =
         here.refused(&["init", "--from-running", "--seconds", "0.1", "--domain", "42", "other.toml"]);
     assert!(code == 1 && words.contains("no callback ran while the domain was observed"), "{words}");
+}
+
+#[test]
+fn a_path_may_have_any_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join(OsStr::from_bytes(b"r\xff.toml"));
+    let output = Command::new(env!("CARGO_BIN_EXE_taut")).args(["init", "--json"]).arg(&file).output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    assert!(file.exists());
 }

@@ -430,6 +430,11 @@ fn execution_times_are_fitted_and_written_with_their_source() {
     let line = written.lines().find(|line| line.contains("measured")).unwrap();
     assert!(line.contains("at most 1.53ms in 20000 jobs, 1 in 1000000 above"), "{line}");
     assert_eq!(written.replace(line, "wcet = \"20s\""), SYSTEM);
+    // The run is of the file as it was.
+    let refused = taut(&[path, "--wcet", "--write", "--lower"]);
+    assert_eq!(refused.status.code(), Some(2), "{refused:?}");
+    assert!(text(&refused.stderr).contains("no longer the file of this run: name the one to change with --system"));
+    assert_eq!(std::fs::read_to_string(&system).unwrap(), written);
 
     // What the file states is less: that is violated, until it is written.
     let strict = SYSTEM.replacen("wcet = \"20s\"", "wcet = \"0.5ms\" # guessed", 1);

@@ -5,6 +5,7 @@ mod support;
 
 use serde_json::{Value, json};
 use std::cell::Cell;
+use std::os::unix::process::CommandExt;
 use std::process::{Command, Output};
 use std::sync::Arc;
 use support::Running;
@@ -244,6 +245,12 @@ fn a_verb_ends_in_time_however_fast_messages_come() {
     for verb in [&["echo", "/fast"][..], &["echo", "/fast", "--raw"], &["delay", "/fast"], &["hz", "/fast", "--take"]] {
         taut(&[&["topic"], verb, &["--timeout", "300ms"]].concat());
     }
+    let mut echo = command(&["topic", "echo", "/fast", "--filter", "true"]);
+    let mut echo = Running::start(echo.process_group(0));
+    echo.line();
+    echo.interrupt_group();
+    let (code, _, words) = echo.end();
+    assert!(code == 0 && !words.contains("ended by itself"), "{words}");
     stop.send(()).unwrap();
     thread.join().unwrap();
 }

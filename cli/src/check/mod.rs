@@ -77,7 +77,7 @@ pub fn run(args: &CheckArgs) -> Outcome<ExitCode> {
     let is_good = admitted.as_ref().map_or(checked.schedulable, Admitted::is_admitted);
     if let Some(path) = &args.svg {
         let refuse = |error| Failure::unusable(format!("`{}` cannot be written: {error}", path.display()));
-        std::fs::write(path, gantt::draw(&checked)).map_err(refuse)?;
+        crate::replace::write(path, gantt::draw(&checked)).map_err(refuse)?;
     }
     match print(args, &file, &checked, admitted.as_ref()) {
         // Else the reader has closed the pipe (`taut check | head`).

@@ -120,7 +120,7 @@ pub fn run(args: &GraphArgs) -> Outcome {
     match &args.output {
         Some(path) => {
             // A file has no colours.
-            std::fs::write(path, crate::print::painted(&written, false)).map_err(|error| {
+            crate::replace::write(path, crate::print::painted(&written, false)).map_err(|error| {
                 Failure::unusable(format!("`{}` cannot be written: {error}", path.display()))
             })
         }

@@ -5,7 +5,9 @@ use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{self, Write};
 use std::time::Duration;
-use tautline_transport::{Durability, EndpointKind, GraphSnapshot, History, Qos, Reliability, TopicEndpoint};
+use tautline_transport::{
+    Durability, EndpointKind, GraphSnapshot, History, Liveliness, Qos, Reliability, TopicEndpoint,
+};
 
 /// A topic of one type, and its endpoints.
 pub struct Topic<'g> {
@@ -124,7 +126,9 @@ fn print_end(end: &TopicEndpoint, out: &mut impl Write) -> io::Result<()> {
     writeln!(out, "  History (Depth): {} ({})", qos.history, end.qos.depth)?;
     writeln!(out, "  Durability: {}", qos.durability)?;
     writeln!(out, "  Deadline: {}", duration(end.qos.deadline))?;
-    writeln!(out, "  Lifespan: {}", duration(end.qos.lifespan))
+    writeln!(out, "  Lifespan: {}", duration(end.qos.lifespan))?;
+    writeln!(out, "  Liveliness: {}", qos.liveliness)?;
+    writeln!(out, "  Liveliness lease duration: {}", duration(end.qos.liveliness_lease_duration))
 }
 
 fn end_json(end: &TopicEndpoint) -> Value {
@@ -144,6 +148,8 @@ fn end_json(end: &TopicEndpoint) -> Value {
             "durability": qos.durability,
             "deadline_ns": ns(end.qos.deadline),
             "lifespan_ns": ns(end.qos.lifespan),
+            "liveliness": qos.liveliness,
+            "liveliness_lease_ns": ns(end.qos.liveliness_lease_duration),
         },
     })
 }
@@ -152,6 +158,7 @@ struct Words {
     reliability: &'static str,
     history: &'static str,
     durability: &'static str,
+    liveliness: &'static str,
 }
 
 /// A duration in the format of ROS 2's tools.
@@ -168,6 +175,10 @@ fn words(qos: &Qos) -> Words {
         durability: match qos.durability {
             Durability::Volatile => "VOLATILE",
             Durability::TransientLocal => "TRANSIENT_LOCAL",
+        },
+        liveliness: match qos.liveliness {
+            Liveliness::Automatic => "AUTOMATIC",
+            Liveliness::ManualByTopic => "MANUAL_BY_TOPIC",
         },
     }
 }

@@ -148,7 +148,7 @@ fn place_to_json(recordings: &[Recording], place: Place) -> Value {
 
 fn to_json(files: &[PathBuf], recordings: &[Recording], hops: &Hops<'_>) -> Value {
     let clocks = clocks(recordings);
-    let recording = |(index, recording): (usize, &Recording)| json!({"file": files.get(index), "session": recording.session, "clock": clocks.get(index)});
+    let recording = |(index, recording): (usize, &Recording)| json!({"file": files.get(index).map(|file| file.display().to_string()), "session": recording.session, "clock": clocks.get(index)});
     let row = |(key, row): (&RowKey<'_>, &Row)| {
         let at = |quantile| (!row.latency.is_empty()).then(|| us(row.latency.value_at_quantile(quantile)));
         json!({

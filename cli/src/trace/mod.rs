@@ -119,7 +119,7 @@ fn export(args: &ExportArgs, common: &CommonArgs) -> Result<ExitCode, TraceError
         let _ = writeln!(
             crate::print::stdout(),
             "{}",
-            serde_json::json!({ "file": out, "events": recording.events.len() })
+            serde_json::json!({ "file": out.display().to_string(), "events": recording.events.len() })
         );
     } else if out != Path::new("-") {
         eprintln!("{}: {} events", out.display(), recording.events.len());

@@ -110,10 +110,15 @@ impl Running {
         self.child().try_wait().unwrap().is_some()
     }
 
-    /// As Ctrl-C does.
     pub fn interrupt(&mut self) {
         let pid = self.child().id().to_string();
         assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+    }
+
+    /// As a terminal's Ctrl-C does: the process group is one that it leads.
+    pub fn interrupt_group(&mut self) {
+        let group = format!("-{}", self.child().id());
+        assert!(Command::new("kill").args(["-INT", "--", &group]).status().unwrap().success());
     }
 
     pub fn end(mut self) -> (i32, String, String) {

@@ -7,7 +7,7 @@ mod tail;
 
 use super::explain::{INPUT_TOO_LARGE, Mark, WCET_EXCEEDED, quoted};
 use super::verdict::{Comparison, Measured, Row};
-use super::{ReportError, System};
+use super::{ReportError, System, read};
 use crate::date::date;
 use crate::table::{BAD, GOOD, ms, wrap, write_table};
 use serde_json::{Value, json};
@@ -154,7 +154,7 @@ impl<'r> Fits<'r> {
     /// Writes the needed values into the system file. Returns the changes in words, and whether the changed file is schedulable.
     ///
     /// # Errors
-    /// The file cannot be written, or the new text is not a valid system file.
+    /// The file differs from `system`, it cannot be read or written, or the new text is not a valid system file.
     pub fn put(
         &self,
         system: &System,
@@ -165,9 +165,13 @@ impl<'r> Fits<'r> {
         if changed.is_empty() {
             return Ok((Vec::new(), system.checked.schedulable));
         }
-        let mut text = system.text.clone();
+        let refuse = |reason| ReportError::Unwritable { path: path.into(), reason };
+        let mut text = read(path)?;
+        if text != system.text {
+            let reason = "it is no longer the file of this run: name the one to change with --system";
+            return Err(refuse(reason.to_owned()));
+        }
         for fit in &changed {
-            let refuse = |reason| ReportError::Unwritable { path: path.into(), reason };
             text = edit::with(&text, fit.name(), &quoted(fit.wcet_ns), &self.source(fit)).map_err(refuse)?;
         }
         let anew =
