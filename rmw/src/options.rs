@@ -22,12 +22,19 @@ pub(crate) fn check(options: &rmw_init_options_t) -> Result<u32> {
         ));
     }
     distro::check_discovery(options)?;
-    match options.domain_id {
-        DEFAULT_DOMAIN => Ok(0),
+    let domain = match options.domain_id {
+        DEFAULT_DOMAIN => 0,
         domain => u32::try_from(domain).ok().filter(|domain| *domain <= MAX_DOMAIN).ok_or_else(|| {
             Error::invalid(format!("domain {domain} does not exist: domains go from 0 to {MAX_DOMAIN}"))
-        }),
+        })?,
+    };
+    let of_others = std::env::var("TAUT_DOMAIN").ok().filter(|of| !of.is_empty() && *of != domain.to_string());
+    if let Some(of_others) = of_others {
+        tracing::warn!(
+            "this context is in domain {domain}: ROS 2 reads ROS_DOMAIN_ID, not TAUT_DOMAIN, which is {of_others} here; set both to one number"
+        );
     }
+    Ok(domain)
 }
 
 /// Checks the code of copying or finalising options, which set the error text.

@@ -220,19 +220,20 @@ impl System {
         }
     }
 
-    /// The depth of a subscription's queue: for a reliable keep-last one as the file says, if it says so. A shorter one than the analysis
-    /// needs is warned of.
+    /// The depth of a subscription's keep-last queue: of a reliable one as the file says, if it says so. A shorter one than the analysis needs
+    /// is warned of.
     pub(crate) fn set_depth(&self, node: &str, topic: &str, qos: &mut Qos) {
         let (Some(file), Some(index)) = (&self.file, self.entry(node, topic)) else { return };
-        if qos.history != History::KeepLast || qos.reliability != Reliability::Reliable {
+        if qos.history != History::KeepLast {
             return;
         }
+        let is_set = qos.reliability == Reliability::Reliable;
         let callback = &self.callbacks[index];
         let (name, capacity) = (&callback.entry.name, callback.capacity.map(|capacity| capacity.max(1)));
         let stated = file.file.topics().iter().find(|of| of.name == topic);
         let number = stated.and_then(|of| usize::try_from(of.depth?).ok());
         let wanted = number.or_else(|| capacity.filter(|_| stated.is_some_and(|of| of.is_auto)));
-        if let Some(depth) = wanted.filter(|depth| *depth != qos.depth) {
+        if let Some(depth) = wanted.filter(|depth| is_set && *depth != qos.depth) {
             tracing::info!(
                 "callback `{name}`: `{topic}` has depth {depth}, as the system file says, not {}",
                 qos.depth
@@ -240,9 +241,9 @@ impl System {
             qos.depth = depth;
         }
         if let Some(capacity) = capacity.filter(|capacity| *capacity > qos.depth) {
+            let fix = if is_set { "`depth = \"auto\"` for the topic in the system file, or " } else { "" };
             tracing::warn!(
-                "callback `{name}`: `{topic}` has depth {}, but {capacity} messages may wait: set `depth = \"auto\"` for the topic in the \
-                 system file, or {capacity} in the node",
+                "callback `{name}`: `{topic}` has depth {}, but {capacity} messages may wait: set {fix}depth {capacity} in the node",
                 qos.depth
             );
         }
