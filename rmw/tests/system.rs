@@ -478,11 +478,13 @@ fn a_file_that_cannot_be_kept_to_here_is_refused() {
 
 /// Waits for words, subscribes to `/work` of a depth of 1, and lives until its input ends.
 const ADMITTED: &str = r#"
-import rclpy, sys
+import os, rclpy, sys
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
 rclpy.init()
 node = rclpy.create_node(sys.argv[1])
-subscriptions = [node.create_subscription(String, topic, lambda m: None, 1) for topic in ("/work", "/unlisted")]
+qos = QoSProfile(depth=1, reliability=ReliabilityPolicy[os.environ.get("OFFERS", "RELIABLE")])
+subscriptions = [node.create_subscription(String, topic, lambda m: None, qos) for topic in ("/work", "/unlisted")]
 print("runs", flush=True)
 sys.stdin.read()
 "#;
@@ -501,10 +503,10 @@ fn load_of_unchanged_nodes_is_admitted_or_refused() {
         std::fs::write(&path, text).unwrap();
         path
     };
-    let start = |path: &Path, name: &str, admission: &str| {
+    let start_with = |path: &Path, name: &str, admission: &str, reliability: &str| {
         let said = tempfile::NamedTempFile::new().unwrap();
         let mut command = domain.python(ADMITTED);
-        command.arg(name).env("TAUT_SYSTEM", path).env("TAUT_ADMISSION", admission);
+        command.arg(name).env("TAUT_SYSTEM", path).env("TAUT_ADMISSION", admission).env("OFFERS", reliability);
         let output = said.reopen().unwrap();
         command.stdin(Stdio::piped()).stdout(output.try_clone().unwrap()).stderr(output);
         let mut process = command.spawn().unwrap();
@@ -519,6 +521,7 @@ fn load_of_unchanged_nodes_is_admitted_or_refused() {
         let text = words();
         (process, text)
     };
+    let start = |path: &Path, name: &str, admission: &str| start_with(path, name, admission, "RELIABLE");
     let end = |(mut process, text): (Child, String)| {
         drop(process.stdin.take());
         process.wait().unwrap();
@@ -542,6 +545,9 @@ fn load_of_unchanged_nodes_is_admitted_or_refused() {
     end(running);
     let alone = end(start(&second, "second", "check"));
     assert!(alone.contains("runs\n"), "what has ended leaves its place: {alone}");
+    // A best-effort queue stays as the program made it.
+    let best_effort = end(start_with(&second, "second", "check", "BEST_EFFORT"));
+    assert!(best_effort.contains("has depth 1, but") && best_effort.contains("in the node"), "{best_effort}");
 }
 
 /// The first callback computes until it is demoted, the second was released before that one has ended; each tells its thread's policy.
