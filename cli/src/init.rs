@@ -88,7 +88,8 @@ pub fn run(args: &InitArgs) -> Outcome<ExitCode> {
 /// What was written, for a program or a person. A template's callbacks are not counted: they are examples.
 fn say(args: &InitArgs, counts: Option<(usize, usize)>, words: &str) -> io::Result<()> {
     let (callbacks, guesses) = counts.unzip();
-    let report = json!({ "file": args.file.display().to_string(), "callbacks": callbacks, "guesses": guesses });
+    let report =
+        json!({ "file": args.file.display().to_string(), "callbacks": callbacks, "guesses": guesses });
     let text = if args.common.json { report.to_string() } else { words.to_owned() };
     writeln!(crate::print::stdout(), "{text}")
 }

@@ -144,9 +144,14 @@ fn nodes_services_and_ends_of_topics_are_printed() {
     let short = "Type: a_msgs/msg/Image\nPublisher count: 1\nSubscription count: 1, 1 elsewhere\n";
     assert_eq!(text(&["topic", "info", "image"]), short);
     let long = text(&["topic", "info", "/image", "-v"]);
-    for part in
-        ["Node name: camera", "Reliability: BEST_EFFORT", "KEEP_LAST (5)", "TRANSIENT_LOCAL", "abababab", "Liveliness: AUTOMATIC"]
-    {
+    for part in [
+        "Node name: camera",
+        "Reliability: BEST_EFFORT",
+        "KEEP_LAST (5)",
+        "TRANSIENT_LOCAL",
+        "abababab",
+        "Liveliness: AUTOMATIC",
+    ] {
         assert!(long.contains(part), "{part}: {long}");
     }
     let info = &parsed(&["topic", "info", "/image", "--json"])[0];

@@ -102,7 +102,8 @@ fn what_runs_becomes_a_file() {
 fn a_path_may_have_any_bytes() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join(OsStr::from_bytes(b"r\xff.toml"));
-    let output = Command::new(env!("CARGO_BIN_EXE_taut")).args(["init", "--json"]).arg(&file).output().unwrap();
+    let output =
+        Command::new(env!("CARGO_BIN_EXE_taut")).args(["init", "--json"]).arg(&file).output().unwrap();
     assert!(output.status.success(), "{output:?}");
     assert!(file.exists());
 }

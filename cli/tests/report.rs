@@ -433,7 +433,10 @@ fn execution_times_are_fitted_and_written_with_their_source() {
     // The run is of the file as it was.
     let refused = taut(&[path, "--wcet", "--write", "--lower"]);
     assert_eq!(refused.status.code(), Some(2), "{refused:?}");
-    assert!(text(&refused.stderr).contains("no longer the file of this run: name the one to change with --system"));
+    assert!(
+        text(&refused.stderr)
+            .contains("no longer the file of this run: name the one to change with --system")
+    );
     assert_eq!(std::fs::read_to_string(&system).unwrap(), written);
 
     // What the file states is less: that is violated, until it is written.

@@ -242,7 +242,9 @@ fn a_verb_ends_in_time_however_fast_messages_come() {
     let participant = enter(98);
     let publisher = publisher(&participant, "/fast", Qos::keep_last(100));
     let (stop, thread) = flow(publisher, 1e9, message(&json!({})));
-    for verb in [&["echo", "/fast"][..], &["echo", "/fast", "--raw"], &["delay", "/fast"], &["hz", "/fast", "--take"]] {
+    for verb in
+        [&["echo", "/fast"][..], &["echo", "/fast", "--raw"], &["delay", "/fast"], &["hz", "/fast", "--take"]]
+    {
         taut(&[&["topic"], verb, &["--timeout", "300ms"]].concat());
     }
     let mut echo = command(&["topic", "echo", "/fast", "--filter", "true"]);

@@ -28,7 +28,8 @@ pub(crate) fn check(options: &rmw_init_options_t) -> Result<u32> {
             Error::invalid(format!("domain {domain} does not exist: domains go from 0 to {MAX_DOMAIN}"))
         })?,
     };
-    let of_others = std::env::var("TAUT_DOMAIN").ok().filter(|of| !of.is_empty() && *of != domain.to_string());
+    let of_others =
+        std::env::var("TAUT_DOMAIN").ok().filter(|of| !of.is_empty() && *of != domain.to_string());
     if let Some(of_others) = of_others {
         tracing::warn!(
             "this context is in domain {domain}: ROS 2 reads ROS_DOMAIN_ID, not TAUT_DOMAIN, which is {of_others} here; set both to one number"

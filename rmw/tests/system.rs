@@ -506,7 +506,11 @@ fn load_of_unchanged_nodes_is_admitted_or_refused() {
     let start_with = |path: &Path, name: &str, admission: &str, reliability: &str| {
         let said = tempfile::NamedTempFile::new().unwrap();
         let mut command = domain.python(ADMITTED);
-        command.arg(name).env("TAUT_SYSTEM", path).env("TAUT_ADMISSION", admission).env("OFFERS", reliability);
+        command
+            .arg(name)
+            .env("TAUT_SYSTEM", path)
+            .env("TAUT_ADMISSION", admission)
+            .env("OFFERS", reliability);
         let output = said.reopen().unwrap();
         command.stdin(Stdio::piped()).stdout(output.try_clone().unwrap()).stderr(output);
         let mut process = command.spawn().unwrap();

@@ -141,8 +141,8 @@ pub enum RtError {
     /// `RLIMIT_RTPRIO` allows lower priorities only.
     #[error(
         "real-time priority {priority} is above this user's limit of {limit} (RLIMIT_RTPRIO): put the line \
-         `@realtime - rtprio {priority}` into /etc/security/limits.d/90-tautline.conf and log in again, or \
-         choose at most {limit}"
+         `@realtime - rtprio {priority}` into /etc/security/limits.d/90-tautline.conf, join the group `realtime` and log in \
+         again, or choose at most {limit}"
     )]
     PriorityLimit {
         /// The requested priority.
@@ -176,7 +176,7 @@ pub enum RtError {
     /// Too little privilege to lower the nice value.
     #[error(
         "nice {nice} needs CAP_SYS_NICE: run `sudo setcap cap_sys_nice,cap_ipc_lock+ep {}`, or put the line \
-         `@realtime - nice {nice}` into /etc/security/limits.d/90-tautline.conf and log in again",
+         `@realtime - nice {nice}` into /etc/security/limits.d/90-tautline.conf, join the group `realtime` and log in again",
         exe.display()
     )]
     NiceRefused {
@@ -202,7 +202,8 @@ pub enum RtError {
     #[error(
         "memory cannot be locked with a limit of {limit} (RLIMIT_MEMLOCK): run \
          `sudo setcap cap_sys_nice,cap_ipc_lock+ep {}`, or put the line `@realtime - memlock unlimited` into \
-         /etc/security/limits.d/90-tautline.conf and log in again; a container needs `--ulimit memlock=-1`",
+         /etc/security/limits.d/90-tautline.conf, join the group `realtime` and log in again; a container needs \
+         `--ulimit memlock=-1`",
         exe.display()
     )]
     MemoryLock {

@@ -26,6 +26,7 @@ struct Verdict<'a> {
 #[derive(Serialize)]
 struct Callback<'a> {
     name: &'a str,
+    host: &'a str,
     core: usize,
     priority: u8,
     wake_up: WakeUp,
@@ -111,6 +112,7 @@ pub fn write(
     let ms = |ns: u64| ns as f64 / 1e6;
     let callbacks = checked.callbacks.iter().map(|callback| Callback {
         name: &callback.entry.name,
+        host: &callback.host,
         core: callback.core,
         priority: callback.entry.priority,
         wake_up: WakeUp::of(callback.entry.wake_up),
