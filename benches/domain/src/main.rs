@@ -87,6 +87,8 @@ enum Experiment {
     Readers,
     /// 200 topics of point clouds at 100 Hz, beside iceoryx2
     Clouds,
+    /// A topic of 64 B, 64 KiB and 8 MiB at 100 Hz, of which nobody copies, beside iceoryx2
+    Sizes,
 }
 
 struct Bench<'a> {
@@ -152,6 +154,7 @@ impl Bench<'_> {
             Experiment::FanOut => traffic::fan_out(self),
             Experiment::Readers => traffic::readers(self),
             Experiment::Clouds => traffic::clouds(self),
+            Experiment::Sizes => traffic::sizes(self),
         }
     }
 }

@@ -103,6 +103,7 @@ fn heading(experiment: Experiment) -> &'static str {
         Experiment::FanOut => "# subscriptions of one topic at 100 Hz",
         Experiment::Readers => "# processes with a subscription each of one topic at 100 Hz",
         Experiment::Clouds => "# topics of 64 KiB x 2 subscriptions x 100 Hz",
+        Experiment::Sizes => "payloads of # bytes at 100 Hz, written and read in part",
     }
 }
 

@@ -113,6 +113,28 @@ pub fn clouds(bench: &Bench<'_>) -> Result<Vec<Reading>> {
     beside_iceoryx(flow, OF_ONE, [(Column::P50, TWO_WAKES), (Column::P999, UNKNOWN)])
 }
 
+/// Payloads of any size take as long as the smallest one.
+pub fn sizes(bench: &Bench<'_>) -> Result<Vec<Reading>> {
+    let mut rows = Vec::new();
+    for system in [&TAUTLINE, &ICEORYX] {
+        let mut of_smallest = None;
+        for payload_bytes in [SMALL_BYTES, CLOUD_BYTES, IMAGE_BYTES] {
+            let of_it = bench.flow(Experiment::Sizes, payload_bytes, Flow { system, payload_bytes, ..SMALL })?;
+            let p50 = of_it.iter().find(|row| row.what == OF_ONE).and_then(|row| row.column(Column::P50));
+            rows.extend(of_it);
+            let (Some(p50), Some(smallest)) = (p50, of_smallest.or(p50)) else { continue };
+            of_smallest = Some(smallest);
+            if system.name == TAUTLINE.name {
+                let row = Reading::of(Experiment::Sizes, payload_bytes, "that, p50", "x that of 64 B");
+                rows.push(row.value(p50 / smallest).at_most(FLAT));
+            }
+        }
+    }
+    Ok(rows)
+}
+
+/// The most that a size may matter.
+const FLAT: f64 = 1.1;
 const PUBLISHING: &str = "publishing: loan, write a stamp, publish, wake";
 const OF_ONE: &str = "from before the loan until a subscription has read it";
 // Causes, if it takes longer.
@@ -185,7 +207,7 @@ impl<'a> Bench<'a> {
         }
         let row = |what: &str, unit| Reading::of(experiment, size, what, unit).system(flow.system.title);
         let of_latency = match experiment {
-            Experiment::Load | Experiment::Clouds => OF_ONE,
+            Experiment::Load | Experiment::Clouds | Experiment::Sizes => OF_ONE,
             _ => "from before the loan until the last subscription has read it",
         };
         let cpu_percent = 100.0 * cpu_ns as f64 / 1e9 / sent.seconds;
