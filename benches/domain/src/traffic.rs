@@ -115,10 +115,12 @@ pub fn clouds(bench: &Bench<'_>) -> Result<Vec<Reading>> {
 
 /// Payloads of any size take as long as the smallest one.
 pub fn sizes(bench: &Bench<'_>) -> Result<Vec<Reading>> {
+    let sizes: &[usize] =
+        if bench.quick { &[SMALL_BYTES, IMAGE_BYTES] } else { &[SMALL_BYTES, CLOUD_BYTES, IMAGE_BYTES] };
     let mut rows = Vec::new();
     for system in [&TAUTLINE, &ICEORYX] {
         let mut of_smallest = None;
-        for payload_bytes in [SMALL_BYTES, CLOUD_BYTES, IMAGE_BYTES] {
+        for &payload_bytes in sizes {
             let of_it = bench.flow(Experiment::Sizes, payload_bytes, Flow { system, payload_bytes, ..SMALL })?;
             let p50 = of_it.iter().find(|row| row.what == OF_ONE).and_then(|row| row.column(Column::P50));
             rows.extend(of_it);
