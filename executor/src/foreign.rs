@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use tautline_rt::clock::{monotonic_ns, nanoseconds, thread_cpu_ns};
+use tautline_rt::fork::ProcessMark;
 use tautline_rt::{
     BudgetTimer, CoreTime, OwnPriority, PiMutex, RtError, ThreadInfo, current_affinity, current_policy,
     current_tid,
@@ -19,7 +20,8 @@ use crate::stats::{Job, kind};
 use crate::{CallbackOptions, CallbackStats, OverrunPolicy, Policy, StatisticsFile};
 
 thread_local! {
-    static TID: u32 = current_tid();
+    /// Its id, in the process in which it was asked for: a forked child's thread has another one.
+    static TID: Cell<Option<(ProcessMark, u32)>> = const { Cell::new(None) };
     static METER: Meter = const { Meter { read: Cell::new(None), lap_ns: Cell::new(0), is_exact: Cell::new(false) } };
     static ENFORCER: RefCell<Option<BudgetEnforcer>> = const { RefCell::new(None) };
     /// Made by the first job of a callback that accounts for core time; `None` if the kernel refused.
@@ -191,7 +193,7 @@ impl ForeignCallback {
     /// # Real-time
     /// Waits for a thread that starts or ends a job of it at the same time, with priority inheritance; no allocation; four syscalls
     /// if another thread ran the previous job, one in a thread's first job, one more in each of these cases where the execution
-    /// time is measured, at most two where it is held to its budget, and three where core time is accounted for, five in a thread's first job.
+    /// time is measured, at most three where it is held to its budget, and three where core time is accounted for, five in a thread's first job.
     pub fn begin(&self, release_ns: Option<u64>, queue: QueueState) {
         self.with_account(CoreTimeAccount::begin);
         let stats = self.stats.lock();
@@ -204,9 +206,11 @@ impl ForeignCallback {
             METER.with(Meter::begin);
         }
         if self.holds {
-            let since_ns = METER.with(Meter::since_ns).unwrap_or_else(thread_cpu_ns);
+            // A take, and whatever else the thread has done since it waited, may have used much of the budget.
+            let now_ns = thread_cpu_ns();
+            let since_ns = METER.with(Meter::since_ns).unwrap_or(now_ns);
             let release_ns = release_ns.unwrap_or(u64::MAX);
-            with_enforcer(|enforcer| enforcer.begin(release_ns, since_ns, stats.budget()));
+            with_enforcer(|enforcer| enforcer.begin(release_ns, since_ns, now_ns, stats.budget()));
         }
     }
 
@@ -255,9 +259,20 @@ impl ForeignCallback {
     }
 }
 
+fn own_tid() -> u32 {
+    match TID.get() {
+        Some((process, tid)) if process.is_here() => tid,
+        _ => {
+            let tid = current_tid();
+            TID.set(Some((ProcessMark::new(), tid)));
+            tid
+        }
+    }
+}
+
 /// Records that this thread runs the callback, if another one did before.
 fn note_thread(stats: &CallbackStats) {
-    let tid = TID.with(|tid| *tid);
+    let tid = own_tid();
     if stats.tid() != tid
         && let (Ok(policy), Ok(cores)) = (current_policy(), current_affinity())
     {

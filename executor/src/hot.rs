@@ -86,9 +86,9 @@ impl BudgetEnforcer {
         BudgetEnforcer { timer, how, running: Cell::new(0) }
     }
 
-    /// A job begins that has a budget, in a thread that had used `since_ns`. One that has waited for an overrun is done below all
-    /// others: its release is past, and at the thread's priority it would be an interference that nobody has counted.
-    pub fn begin(&self, release_ns: u64, since_ns: u64, budget: Option<Duration>) {
+    /// A job begins that has a budget, which counts from when the thread had used `since_ns`; now that is `now_ns`. One that has waited for
+    /// an overrun is done below all others: its release is past, and at the thread's priority it would be an interference that nobody has counted.
+    pub fn begin(&self, release_ns: u64, since_ns: u64, now_ns: u64, budget: Option<Duration>) {
         let is_first = self.running.replace(self.running.get().saturating_add(1)) == 0;
         match &self.how {
             Enforcement::Demote { overran_until_ns, .. }
@@ -98,7 +98,7 @@ impl BudgetEnforcer {
             }
             Enforcement::Demote { .. } => {
                 if let Some(budget) = budget {
-                    self.timer.arm(since_ns, budget);
+                    self.timer.arm_late(since_ns, now_ns, budget);
                 }
             }
             Enforcement::Suspend { period, behind } => {
@@ -223,7 +223,7 @@ impl Measured {
         if let Some(stopwatch) = &self.stopwatch {
             stopwatch.begin();
             if let (Some(enforcer), Some(since_ns)) = (&self.enforcer, stopwatch.since_ns.get()) {
-                enforcer.begin(release_ns, since_ns, of.budget());
+                enforcer.begin(release_ns, since_ns, since_ns, of.budget());
             }
         }
         StartedJob { release_ns }

@@ -26,12 +26,14 @@ struct Sent(Function);
 unsafe impl Send for Sent {}
 
 thread_local! {
-    /// Whether this thread is in a callback.
-    static IS_CALLED: Cell<bool> = const { Cell::new(false) };
+    /// The callback that this thread is in: the innermost, which leads to those around it.
+    static INNERMOST: Cell<*const Call<'static>> = const { Cell::new(std::ptr::null()) };
 }
 
 /// Interval of the check whether a call has returned.
 const LOOK: Duration = Duration::from_micros(50);
+/// A second of them.
+const MOST_LOOKS: u32 = 20_000;
 
 impl EventCallback {
     /// Sets the callback. The previous one may still be running; see [`settle`](Self::settle).
@@ -40,11 +42,30 @@ impl EventCallback {
         *self.function.lock() = Sent(function);
     }
 
-    /// Waits until calls in progress have returned, unless called from a callback. The caller must hold no lock that they need.
+    /// Waits until calls in progress in other threads have returned. The caller must hold no lock that they need. From within a callback it
+    /// waits a second at most: what it waits for may wait for that callback.
     pub(crate) fn settle(&self) {
-        while self.calls.load(Ordering::Acquire) != 0 && !IS_CALLED.get() {
+        let (own, mut looks) = (self.own_calls(), 0);
+        while self.calls.load(Ordering::Acquire) > own {
+            if looks == MOST_LOOKS && !INNERMOST.get().is_null() {
+                return tracing::warn!(
+                    "a callback that was removed within another callback still runs after a second: keep what it uses, or remove it elsewhere"
+                );
+            }
             std::thread::sleep(LOOK);
+            looks += 1;
         }
+    }
+
+    /// Calls of it that this thread is in, which return later than what they do.
+    fn own_calls(&self) -> u32 {
+        let (mut own, mut call) = (0, INNERMOST.get());
+        // SAFETY: null, or a call that runs in this thread until it has put back the one around it.
+        while let Some(inner) = unsafe { call.as_ref() } {
+            own += u32::from(std::ptr::eq(inner.callback, self));
+            call = inner.around.get();
+        }
+        own
     }
 
     /// # Real-time
@@ -58,7 +79,7 @@ impl EventCallback {
         let function = self.function.lock();
         let function = function.0?;
         self.calls.fetch_add(1, Ordering::AcqRel);
-        Some(Call { callback: self, function })
+        Some(Call { callback: self, function, around: Cell::new(std::ptr::null()) })
     }
 }
 
@@ -66,17 +87,19 @@ impl EventCallback {
 pub(crate) struct Call<'c> {
     callback: &'c EventCallback,
     function: (unsafe extern "C" fn(*const c_void, usize), *const c_void),
+    /// The call from which this one was made in this thread.
+    around: Cell<*const Call<'static>>,
 }
 
 impl Call<'_> {
     /// Calls the callback with the number of events, unless it is 0.
     pub(crate) fn run(self, count: usize) {
         if count > 0 {
-            let is_called = IS_CALLED.replace(true);
+            self.around.set(INNERMOST.replace(std::ptr::from_ref(&self).cast()));
             let (function, data) = self.function;
             // SAFETY: rmw's contract: it may be called until another one is set, which waits for this.
             unsafe { function(data, count) };
-            IS_CALLED.set(is_called);
+            INNERMOST.set(self.around.get());
         }
     }
 }
@@ -84,5 +107,57 @@ impl Call<'_> {
 impl Drop for Call<'_> {
     fn drop(&mut self) {
         self.callback.calls.fetch_sub(1, Ordering::AcqRel);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Barrier;
+
+    type Body<'b> = Box<dyn Fn() + Sync + 'b>;
+
+    unsafe extern "C" fn run(body: *const c_void, _: usize) {
+        // SAFETY: a `Body` that `of` was given, which outlives the call.
+        unsafe { (*body.cast::<Body<'_>>())() }
+    }
+
+    fn of(body: &Body<'_>) -> EventCallback {
+        let callback = EventCallback::default();
+        callback.replace(Some((run, std::ptr::from_ref(body).cast())));
+        callback
+    }
+
+    #[test]
+    fn what_is_removed_within_another_callback_has_returned() {
+        let (inside, removing) = (Barrier::new(2), AtomicBool::new(false));
+        let has_returned = AtomicBool::new(false);
+        let slow: Body<'_> = Box::new(|| {
+            inside.wait();
+            while !removing.load(Ordering::SeqCst) {
+                std::thread::yield_now();
+            }
+            (0..10_000).for_each(|_| std::thread::yield_now());
+            has_returned.store(true, Ordering::SeqCst);
+        });
+        let slow = of(&slow);
+        let remover: Body<'_> = Box::new(|| {
+            inside.wait();
+            slow.replace(None);
+            removing.store(true, Ordering::SeqCst);
+            slow.settle();
+            assert!(has_returned.load(Ordering::SeqCst));
+        });
+        let remover = of(&remover);
+        std::thread::scope(|scope| {
+            scope.spawn(|| slow.begin().unwrap().run(1));
+            remover.begin().unwrap().run(1);
+        });
+        // What a callback is in itself it does not wait for.
+        let own: Body<'_> = Box::new(|| remover.settle());
+        let own = of(&own);
+        let around: Body<'_> = Box::new(|| own.begin().unwrap().run(1));
+        of(&around).begin().unwrap().run(1);
+        own.settle();
     }
 }

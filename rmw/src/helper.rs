@@ -13,7 +13,7 @@ use std::sync::Mutex;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, PoisonError};
 use std::task::Wake;
-use tautline_rt::{JoinHandle, Realtime, ThreadBuilder};
+use tautline_rt::{JoinHandle, Realtime, RtError, ThreadBuilder};
 use tautline_sampler::{Events, Sampler};
 use tautline_transport::{Participant, Slot};
 
@@ -41,14 +41,24 @@ impl Wake for Ring {
     }
 }
 
+/// A thread that has no real-time priority, whatever thread starts it; the same nice value, if that has none either.
+pub(crate) fn ordinary_thread(name: &str) -> std::result::Result<ThreadBuilder, RtError> {
+    let builder = ThreadBuilder::new(name);
+    Ok(match tautline_rt::current_policy()?.realtime_priority() {
+        Some(_) => builder,
+        None => builder.realtime(Realtime::Off),
+    })
+}
+
 impl Helper {
     /// Starts the thread, as SCHED_OTHER.
     pub(crate) fn start(participant: &Participant) -> Result<Self> {
         let sampler = Sampler::new(participant)?;
         let (events, door) = (sampler.events().clone(), Arc::new(participant.claim_slot()?));
         let (tasks, given) = channel();
-        let thread = ThreadBuilder::new("rmw_helper").realtime(Realtime::Off);
-        let thread = thread.spawn(move || move || serve(sampler, &given)).map_err(Error::other)?;
+        let thread = ordinary_thread("rmw_helper")
+            .and_then(|thread| thread.spawn(move || move || serve(sampler, &given)));
+        let thread = thread.map_err(Error::other)?;
         Ok(Helper { events, tasks: Mutex::new(tasks), door, thread: Some(thread) })
     }
 

@@ -4,12 +4,12 @@
 use crate::bindings::*;
 use crate::error::Error;
 use crate::handle::exported;
+use crate::helper::ordinary_thread;
 use std::ffi::CString;
 use std::fmt::{self, Write};
 use std::sync::atomic::{AtomicPtr, AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use tautline_rt::fork::{ProcessMark, ProcessMutex, without_forks};
-use tautline_rt::{Realtime, ThreadBuilder};
 use tracing::field::{Field, Visit};
 use tracing::span::{Attributes, Id, Record};
 use tracing::{Event, Level, Metadata, Subscriber};
@@ -30,8 +30,9 @@ pub(crate) fn start() {
         return;
     }
     let (lines, waiting) = sync_channel(LINES);
-    let thread = ThreadBuilder::new("rmw_log").realtime(Realtime::Off);
-    if thread.spawn(move || move || pass_on(&waiting)).is_ok() {
+    let thread =
+        ordinary_thread("rmw_log").and_then(|thread| thread.spawn(move || move || pass_on(&waiting)));
+    if thread.is_ok() {
         let queue = Box::into_raw(Box::new(Queue { process: ProcessMark::new(), lines }));
         // Release: pairs with the Acquire in `current`. A child leaves its parent's.
         QUEUE.store(queue, Ordering::Release);

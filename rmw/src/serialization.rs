@@ -2,6 +2,7 @@
 //! Serialized messages: a CDR body behind four bytes of encapsulation.
 
 use crate::bindings::*;
+use crate::cdr::Callbacks;
 use crate::error::{Error, Result};
 use crate::handle::exported;
 use crate::lend::give_back;
@@ -92,15 +93,15 @@ exported! {
     ) {
         // SAFETY: rmw's contract.
         unsafe {
-            let of = MessageType::of(support)?;
-            let estimate = of.callbacks.estimate(message)?;
+            let callbacks = Callbacks::find(support)?;
+            let estimate = callbacks.estimate(message)?;
             resize(serialized, HEADER_BYTES + estimate)?;
             // Uninitialised memory must not become a slice.
             serialized.buffer.write_bytes(0, HEADER_BYTES + estimate);
             let all = std::slice::from_raw_parts_mut(serialized.buffer, HEADER_BYTES + estimate);
             let (header, body) = all.split_at_mut(HEADER_BYTES);
             header.copy_from_slice(&LITTLE);
-            serialized.buffer_length = HEADER_BYTES + of.callbacks.write(message, body)?;
+            serialized.buffer_length = HEADER_BYTES + callbacks.write(message, body)?;
         }
         Ok(())
     }
@@ -112,9 +113,8 @@ exported! {
     ) {
         // SAFETY: rmw's contract.
         unsafe {
-            let of = MessageType::of(support)?;
             let (body, is_little) = body(bytes(serialized))?;
-            of.callbacks.read(body, is_little, message)
+            Callbacks::find(support)?.read(body, is_little, message)
         }
     }
 }

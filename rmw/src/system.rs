@@ -20,6 +20,8 @@ use tautline_transport::{History, Qos, Reliability};
 
 /// Topics that ROS's client libraries subscribe to for a node.
 const OF_EVERY_NODE: [&str; 2] = ["/parameter_events", "/clock"];
+/// Topics for which they have threads of their own.
+const OF_OTHER_THREADS: [&str; 3] = ["/clock", "/tf", "/tf_static"];
 /// Services that they make for it, below its name.
 const SERVICES_OF_EVERY_NODE: [&str; 9] = [
     "describe_parameters",
@@ -192,11 +194,13 @@ impl System {
     pub(crate) fn place(&self, node: &str, topic: &str) -> (Option<Arc<ThreadPlan>>, Option<u8>) {
         match self.entry(node, topic) {
             Some(index) => (self.threads[index].clone(), self.callbacks[index].entry.rank),
+            None if OF_OTHER_THREADS.contains(&topic) => (None, None),
             None => (self.thread_of_timers(node).cloned(), None),
         }
     }
 
-    /// The thread of `node`, a full name, if the file has only timers of it, all in this thread: whoever waits for anything of the node runs them.
+    /// The thread of `node`, a full name, if the file has only timers of it, all in this thread: whoever waits for anything of the node,
+    /// but for [`OF_OTHER_THREADS`], runs them.
     fn thread_of_timers(&self, node: &str) -> Option<&Arc<ThreadPlan>> {
         let all = || self.callbacks.iter().zip(&self.threads).filter(|(of, _)| Self::is_of(of, node));
         let (first, thread) = all().next()?;

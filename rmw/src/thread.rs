@@ -8,8 +8,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use tautline_analysis::file::{CheckedCallback, OverrunPolicy};
 use tautline_executor::foreign;
-use tautline_rt::fork::ProcessMutex;
-use tautline_rt::{CoreSet, MemoryLock, Policy, RtError, ThreadBuilder};
+use tautline_rt::fork::{ProcessMark, ProcessMutex};
+use tautline_rt::{CoreSet, MemoryLock, Policy, RtError, ThreadBuilder, prove_enforcement};
 
 /// What the file states of a thread.
 #[derive(Debug)]
@@ -25,8 +25,8 @@ pub(crate) struct ThreadPlan {
 }
 
 thread_local! {
-    /// What this thread has.
-    static APPLIED: RefCell<Option<Arc<ThreadPlan>>> = const { RefCell::new(None) };
+    /// What this thread has, in the process that gave it: a forked child's thread is ordinary.
+    static APPLIED: RefCell<Option<(ProcessMark, Arc<ThreadPlan>)>> = const { RefCell::new(None) };
 }
 
 /// Whether memory is locked.
@@ -48,11 +48,16 @@ impl ThreadPlan {
         ))
     }
 
-    /// Whether a thread may have its priority and its core, by one that has them for a moment.
+    /// Whether a thread may have its priority and its core, by one that has them for a moment, and be held to its budget there.
     pub(crate) fn check_permission(&self) -> Result {
         let probe =
             ThreadBuilder::new("rt-probe").policy(Policy::Fifo(self.priority)).cores(CoreSet::one(self.core));
-        probe.spawn(|| || ()).and_then(|thread| thread.join()).map_err(|error| self.refused(error))
+        let is_permitted =
+            probe.spawn(|| || ()).and_then(|thread| thread.join()).and_then(|()| match self.holds {
+                true => prove_enforcement(self.priority.saturating_add(1)).map(drop),
+                false => Ok(()),
+            });
+        is_permitted.map_err(|error| self.refused(error))
     }
 
     /// Gives this thread its priority and core, and reads both back. What it starts is ordinary again.
@@ -124,9 +129,11 @@ fn warn_of_two(plan: &ThreadPlan, other: &ThreadPlan) {
 
 /// Makes this thread the one that `plan` describes, unless it has that priority or a higher one already. Returns whether it was not.
 fn become_thread(plan: &Arc<ThreadPlan>) -> Result<bool> {
-    let is_applied = |applied: &RefCell<Option<Arc<ThreadPlan>>>| {
+    let is_applied = |applied: &RefCell<Option<(ProcessMark, Arc<ThreadPlan>)>>| {
         let applied = applied.borrow();
-        let Some(applied) = &*applied else { return false };
+        let Some((_, applied)) = applied.as_ref().filter(|(process, _)| process.is_here()) else {
+            return false;
+        };
         if !Arc::ptr_eq(applied, plan) {
             warn_of_two(plan, applied);
         }
@@ -136,9 +143,13 @@ fn become_thread(plan: &Arc<ThreadPlan>) -> Result<bool> {
     let is_new = !APPLIED.try_with(is_applied).unwrap_or(true);
     if is_new {
         plan.apply()?;
-        let _ = APPLIED.try_with(|applied| applied.replace(Some(plan.clone())));
+        note_applied(plan);
     }
     Ok(is_new)
+}
+
+fn note_applied(plan: &Arc<ThreadPlan>) {
+    let _ = APPLIED.try_with(|applied| applied.replace(Some((ProcessMark::new(), plan.clone()))));
 }
 
 /// Governs a thread that is seen to run a callback, because it has published what only this callback publishes. Returns whether it was not
@@ -150,7 +161,7 @@ pub(crate) fn govern_runner(plan: &Arc<ThreadPlan>) -> bool {
     become_thread(plan).unwrap_or_else(|error| {
         tracing::warn!("thread {} stays as it is: {error:?}", tautline_rt::current_tid());
         // Said once.
-        let _ = APPLIED.try_with(|applied| applied.replace(Some(plan.clone())));
+        note_applied(plan);
         false
     })
 }

@@ -11,8 +11,8 @@
 //!
 //! The alarm is the kernel's high-resolution timer, and not its processor-time timer, whose ticks are milliseconds. Where that does not
 //! reach a busy thread it is the [enforcer](crate::enforcer)'s: see [`prove_enforcement`](crate::prove_enforcement). If other threads
-//! preempt the thread, the timer may fire while budget is left. The thread then gets one more signal each time; the alarm is never set
-//! for longer than the rest of the budget.
+//! preempt the thread, the timer may fire while budget is left. The thread then gets one more signal each time; the alarm is set for the
+//! rest of the budget, or for 50 µs: by so much more than the alarm itself a thread is demoted late at most.
 
 use std::cell::Cell;
 use std::io;
@@ -24,6 +24,7 @@ use std::{mem, ptr};
 
 use crate::clock::{nanoseconds, thread_cpu_ns};
 use crate::enforcer;
+use crate::fork::ProcessMark;
 use crate::{Enforcement, Policy, RtError, current_tid, prove_enforcement, set_policy_of};
 
 /// What sends the signal.
@@ -37,6 +38,8 @@ enum Alarm {
 /// The data of the signal handler, in the thread that gets the signal. No other thread accesses it.
 struct HandlerState {
     alarm: Cell<Alarm>,
+    /// The process in which the alarm was made: a forked child has none.
+    process: Cell<Option<ProcessMark>>,
     /// The priority object that must know that the thread is demoted; null: none. Kept alive by the
     /// `BudgetTimer`.
     own: Cell<*const OwnPriority>,
@@ -51,11 +54,25 @@ struct HandlerState {
     suspended: AtomicBool,
 }
 
+impl HandlerState {
+    /// That of this process. Also for signal handlers.
+    fn alarm(&self) -> Alarm {
+        match self.process.get() {
+            Some(process) if process.is_here() => self.alarm.get(),
+            _ => Alarm::None,
+        }
+    }
+}
+
+/// The thread is looked at again after so long at the earliest: while it waits, its budget stays as it is, and each look costs.
+pub(crate) const LEAST_LOOK_NS: u64 = 50_000;
+
 thread_local! {
     // Without a destructor, and made before the first signal can come: a handler may use it.
     static STATE: HandlerState = const {
         HandlerState {
             alarm: Cell::new(Alarm::None),
+            process: Cell::new(None),
             own: Cell::new(ptr::null()),
             end_ns: AtomicU64::new(0),
             demoted: AtomicBool::new(false),
@@ -222,7 +239,7 @@ impl BudgetTimer {
         let signal = signal()?;
         let failed = |what| RtError::Kernel { what, source: io::Error::last_os_error() };
         STATE.with(|state| {
-            if !matches!(state.alarm.get(), Alarm::None) {
+            if !matches!(state.alarm(), Alarm::None) {
                 let source = io::Error::from(io::ErrorKind::AlreadyExists);
                 return Err(RtError::Kernel { what: "a second budget timer of a thread", source });
             }
@@ -245,6 +262,7 @@ impl BudgetTimer {
             let _ = own.enforced.set(by);
             state.own.set(Arc::as_ptr(&own));
             state.alarm.set(alarm);
+            state.process.set(Some(ProcessMark::new()));
             Ok(BudgetTimer { own, _thread: PhantomData })
         })
     }
@@ -254,8 +272,16 @@ impl BudgetTimer {
     /// # Real-time
     /// No allocation; no wait; at most one syscall.
     pub fn arm(&self, since_ns: u64, budget: Duration) {
+        self.arm_late(since_ns, since_ns, budget);
+    }
+
+    /// Like [`arm`](Self::arm), in a thread that has used processor time since then, up to `now_ns`.
+    ///
+    /// # Real-time
+    /// As [`arm`](Self::arm).
+    pub fn arm_late(&self, since_ns: u64, now_ns: u64, budget: Duration) {
         STATE.with(|state| state.refill_ns.store(0, Ordering::Relaxed));
-        self.start(since_ns, nanoseconds(budget));
+        self.start(since_ns, now_ns, nanoseconds(budget));
     }
 
     /// Like [`arm`](Self::arm), but when the budget is used up the thread is not demoted: it sleeps, in the middle of its work, until the
@@ -270,15 +296,15 @@ impl BudgetTimer {
             state.period_ns.store(nanoseconds(refill.period).max(1), Ordering::Relaxed);
             state.refill_ns.store(nanoseconds(refill.budget).max(1), Ordering::Relaxed);
         });
-        self.start(since_ns, budget_ns);
+        self.start(since_ns, since_ns, budget_ns);
     }
 
-    fn start(&self, since_ns: u64, budget_ns: u64) {
-        let budget_ns = budget_ns.max(1);
+    fn start(&self, since_ns: u64, now_ns: u64, budget_ns: u64) {
+        let end_ns = since_ns.saturating_add(budget_ns).max(1);
         STATE.with(|state| {
-            state.end_ns.store(since_ns.saturating_add(budget_ns).max(1), Ordering::Relaxed);
+            state.end_ns.store(end_ns, Ordering::Relaxed);
             compiler_fence(Ordering::SeqCst);
-            set(state, budget_ns);
+            set(state, end_ns.saturating_sub(now_ns).max(1));
         });
     }
 
@@ -357,7 +383,9 @@ impl Drop for BudgetTimer {
             compiler_fence(Ordering::SeqCst);
             state.own.set(ptr::null());
             compiler_fence(Ordering::SeqCst);
-            match state.alarm.replace(Alarm::None) {
+            let alarm = state.alarm();
+            state.alarm.set(Alarm::None);
+            match alarm {
                 Alarm::None => {}
                 // SAFETY: made for this thread, and deleted once. A signal that is pending finds no budget.
                 Alarm::Timer(timer) => _ = unsafe { libc::timer_delete(timer) },
@@ -382,7 +410,7 @@ fn create_timer(signal: libc::c_int) -> Option<libc::timer_t> {
 
 /// Lets the alarm go off once, so much later, which is when the budget may be used up; 0: never.
 fn set(state: &HandlerState, after_ns: u64) {
-    let timer = match state.alarm.get() {
+    let timer = match state.alarm() {
         Alarm::None => return,
         Alarm::Enforcer(alarm) if after_ns == 0 => return alarm.clear(),
         Alarm::Enforcer(alarm) => return alarm.set(after_ns, state.end_ns.load(Ordering::Relaxed)),
@@ -497,7 +525,11 @@ extern "C" fn fired(_: libc::c_int) {
                 }
                 budget_ns => suspend(state, budget_ns),
             },
-            left_ns => set(state, left_ns),
+            left_ns => {
+                // What this handler has used is not the job's.
+                state.end_ns.store(thread_cpu_ns().saturating_add(left_ns), Ordering::Relaxed);
+                set(state, left_ns.max(LEAST_LOOK_NS));
+            }
         }
     });
     // SAFETY: as above.
@@ -698,6 +730,19 @@ mod tests {
             };
             thread.cores(crate::CoreSet::one(core)).spawn(move || body).unwrap().join().unwrap();
         }
+    }
+
+    #[test]
+    fn what_was_used_before_is_part_of_the_budget() {
+        on_threads(|timer, _| {
+            let since_ns = thread_cpu_ns();
+            burn_cpu(ms(50));
+            timer.arm_late(since_ns, thread_cpu_ns(), ms(60));
+            burn_until_demoted(&timer);
+            let used_ns = thread_cpu_ns() - since_ns;
+            assert!(timer.disarm());
+            assert!((ns(60)..ns(110)).contains(&used_ns), "{used_ns} ns");
+        });
     }
 
     #[test]

@@ -7,7 +7,7 @@
 //! ```text
 //!  a thread arms   alarm.due = now + budget; if the enforcer sleeps longer than until then: wake it
 //!  the enforcer    wakes_at = the earliest due of all alarms; looks again, since one may have been armed meanwhile; sleeps until then
-//!  an alarm is due has its thread used the budget? no: due = now + what is left; yes: the signal
+//!  an alarm is due has its thread used the budget? no: due = now + what is left, or 50 µs; yes: the signal
 //!  it disarms      alarm.due = never; the enforcer is not told, and finds nothing when it wakes
 //! ```
 //!
@@ -15,6 +15,7 @@
 
 use std::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, AtomicU64, Ordering};
 
+use crate::budget::LEAST_LOOK_NS;
 use crate::clock::{monotonic_ns, thread_cpu_ns_of};
 use crate::futex::kernel::FutexWord;
 use crate::{CoreSet, Policy, RtError, ThreadBuilder};
@@ -103,7 +104,7 @@ impl Alarm {
         }
         let tid = self.tid.load(Ordering::Relaxed);
         let left_ns = self.end_ns.load(Ordering::Relaxed).saturating_sub(thread_cpu_ns_of(tid));
-        let next_ns = if left_ns == 0 { NEVER } else { now_ns.saturating_add(left_ns) };
+        let next_ns = if left_ns == 0 { NEVER } else { now_ns.saturating_add(left_ns.max(LEAST_LOOK_NS)) };
         // Only if it is still that job.
         match self.due_ns.compare_exchange(due_ns, next_ns, Ordering::SeqCst, Ordering::SeqCst) {
             Ok(_) if left_ns == 0 => {
@@ -140,5 +141,22 @@ fn run(signal: libc::c_int) {
         if look() >= next_ns {
             CALLS.wait(seen, (next_ns != NEVER).then_some(next_ns));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clock::thread_cpu_ns;
+
+    /// While a thread waits with little of its budget left, this stays so little.
+    #[test]
+    fn a_thread_with_little_left_is_not_looked_at_all_the_time() {
+        let alarm = Alarm::take();
+        let begun_ns = monotonic_ns();
+        alarm.set(0, thread_cpu_ns() + 20_000);
+        let next_ns = alarm.check(0);
+        alarm.give_back();
+        assert!(next_ns != NEVER && next_ns >= begun_ns + LEAST_LOOK_NS, "{}", next_ns - begun_ns);
     }
 }
