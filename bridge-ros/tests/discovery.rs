@@ -317,9 +317,12 @@ fn two_bridges_neither_loop_nor_double() {
     );
     let participants = DOMAINS.map(|domain| Participant::new(domain).unwrap());
     let mut peer = Peer::start(&venv, 13, "between");
-    let publishers = participants.each_ref().map(|one| publisher(one, "/x", STRING, Qos::default()));
-    let subscriptions = participants.each_ref().map(|one| subscription(one, "/x", STRING, Qos::default()));
-    let (out, into) = (peer.publisher("/x", STRING, json!({})), peer.subscription("/x", STRING, json!({})));
+    // Kept: a writer may match a reader later than the reader says it has.
+    let (kept, latched) = (Qos::default().transient_local(), json!({ "latched": true }));
+    let publishers = participants.each_ref().map(|one| publisher(one, "/x", STRING, kept));
+    let subscriptions = participants.each_ref().map(|one| subscription(one, "/x", STRING, kept));
+    let out = peer.publisher("/x", STRING, latched.clone());
+    let into = peer.subscription("/x", STRING, latched);
     // Those here, and the bridges.
     publishers.iter().for_each(|one| matched(one, 2));
     peer.matched(out, 3);

@@ -367,6 +367,8 @@ mod tests {
     #[test]
     fn a_job_is_measured_not_too_low_and_hardly_too_high() {
         idle();
+        // Where a virtual machine stood still, its clocks disagree for a moment.
+        let mut too_high = Vec::new();
         let mut since_ns = thread_cpu_ns();
         for n in 0..20_000 {
             let begun_ns = thread_cpu_ns();
@@ -379,9 +381,13 @@ mod tests {
             let most_ns = now_ns - since_ns + WINDOW.as_nanos() as u64;
             // The clocks may differ by a thousandth.
             let least_ns = (done_ns - begun_ns) - (done_ns - begun_ns) / 1_000;
-            assert!((least_ns..=most_ns).contains(&measured_ns), "{least_ns} {measured_ns} {most_ns}");
+            assert!(least_ns <= measured_ns, "{least_ns} {measured_ns} {most_ns}");
+            if measured_ns > most_ns {
+                too_high.push((measured_ns, most_ns));
+            }
             since_ns = done_ns;
         }
+        assert!(too_high.len() <= 2, "{too_high:?}");
     }
 
     /// What came before anyone waited is no job, and the first job may have come late.

@@ -113,7 +113,7 @@ impl Drop for Call<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::sync::Barrier;
+    use std::sync::{Barrier, OnceLock};
 
     type Body<'b> = Box<dyn Fn() + Sync + 'b>;
 
@@ -153,11 +153,9 @@ mod tests {
             scope.spawn(|| slow.begin().unwrap().run(1));
             remover.begin().unwrap().run(1);
         });
-        // What a callback is in itself it does not wait for.
-        let own: Body<'_> = Box::new(|| remover.settle());
-        let own = of(&own);
-        let around: Body<'_> = Box::new(|| own.begin().unwrap().run(1));
-        of(&around).begin().unwrap().run(1);
-        own.settle();
+        // A callback does not wait for itself.
+        let itself = OnceLock::<EventCallback>::new();
+        let body: Body<'_> = Box::new(|| itself.get().unwrap().settle());
+        itself.get_or_init(|| of(&body)).begin().unwrap().run(1);
     }
 }

@@ -10,7 +10,7 @@
 //! | `no_wheel.py` | says why pip takes none of the wheels |
 //! | `refused.sh` | says what those are told whose machine or installation is not as it must be |
 //! | `installed.sh`, `installed_rmw.sh` | use what a `.deb` has put where, and remove it |
-//! | `second.py` | uses the `.deb` of a second distribution where it was unpacked |
+//! | `second.py` | uses the `.deb` and the wheel with another distribution's Python |
 
 mod crates;
 mod licences;
@@ -38,7 +38,7 @@ pub enum Part {
     Deb,
     /// The same for pip
     Wheel,
-    /// rmw_tautline for pip, beside the wheels of ROS 2 Jazzy
+    /// rmw_tautline for pip, beside the wheels of ROS 2; one for all distributions
     RmwWheel,
     /// rmw_tautline for an installed ROS 2, on Debian and Ubuntu
     RmwDeb,
@@ -90,6 +90,7 @@ pub fn run(
     // One for all builds, which otherwise build what they share in turns.
     let has_rmw = distributions.iter().any(|of| made(*of).any(Part::has_rmw));
     r2r::prepare_libclang(steps, has_rmw);
+    Dist::new(Build::Release).empty_rmw_wheel();
     for of in distributions {
         ros::choose(*of);
         let parts: Vec<_> = made(*of).collect();
@@ -184,20 +185,23 @@ fn verify() -> Result<(), String> {
 /// What CI makes, of the tests' build; then it is installed and used. `has_rmw`: the build has the library of the chosen ROS 2.
 pub fn test(steps: &mut Steps, has_rmw: bool) {
     let dist = Dist::new(Build::Tests);
+    dist.empty_rmw_wheel();
     let mut parts = vec![Part::Tarball, Part::Deb, Part::Wheel, Part::RmwWheel, Part::RmwDeb];
     leave_out(steps, &mut parts, has_rmw, Part::has_rmw);
     dist.make(steps, parts);
     pages::test(steps, &dist.out);
 }
 
-/// What there is for each ROS 2, of the chosen one.
+/// What there is for each ROS 2, of the chosen one, after [`test`] of another one.
 pub fn test_rmw(steps: &mut Steps, has_rmw: bool) {
     let dist = Dist::new(Build::Tests);
-    let mut parts = vec![Part::RmwDeb];
+    let mut parts = vec![Part::RmwWheel, Part::RmwDeb];
     leave_out(steps, &mut parts, has_rmw, Part::has_rmw);
     dist.make(steps, parts);
     if has_rmw {
         steps.step(&ros::step("dist: rmw_tautline's .deb"), || Outcome::from(dist.use_rmw_deb()).unless_ci());
+        let name = ros::step("dist: rmw_tautline's wheel");
+        steps.step(&name, || Outcome::from(dist.use_rmw_wheel()).unless_ci());
     }
 }
 
@@ -215,11 +219,12 @@ impl Part {
         matches!(self, Part::RmwWheel | Part::RmwDeb)
     }
 
-    /// Crates are the same everywhere; wheels are made for the usual ROS 2, which for other machines than this there is in no wheels.
+    /// Crates and programs are the same for each ROS 2; for other machines than this there are no wheels of ROS 2.
     fn is_made(self, architecture: Architecture, distribution: Distribution) -> bool {
         let has_ros = architecture.is_here() || architecture == Architecture::Arm64;
         match self {
             Part::RmwDeb => has_ros,
+            Part::RmwWheel => architecture.is_here(),
             _ if distribution != Distribution::default() => false,
             _ => architecture.is_here() || self.has_programs(),
         }
@@ -299,11 +304,27 @@ impl Dist {
         ros::make_venv(&tools(), &TOOLS, || Ok("python3".to_owned()))?;
         let glibc = if part.has_rmw() {
             self.add_licences("rmw-notices.txt", "rmw/Cargo.toml", &["tautline-rmw"])?;
-            self.glibc(&[self.built().join(RMW)])?
+            let mut libraries = vec![self.built().join(RMW)];
+            if part == Part::RmwWheel {
+                libraries.extend(self.in_rmw_wheel());
+            }
+            self.glibc(&libraries)?
         } else {
             glibc
         };
         self.pack(&word(part), glibc)
+    }
+
+    /// What the wheel has of another ROS 2, that of an earlier run, leaves it.
+    fn empty_rmw_wheel(&self) {
+        let _ = fs::remove_dir_all(self.out.join("work/rmw-wheel"));
+    }
+
+    /// The libraries that are in the wheel already.
+    fn in_rmw_wheel(&self) -> impl Iterator<Item = PathBuf> {
+        let folder = self.out.join("work/rmw-wheel/rmw_tautline");
+        let of = Distribution::value_variants().iter().map(move |of| folder.join(word(*of)).join(RMW));
+        of.filter(|library| library.exists())
     }
 
     /// rclpy of the wheels on the library of rmw_tautline's package, unpacked, for the rest of which Debian has no packages.
@@ -313,10 +334,22 @@ impl Dist {
         let name = format!("ros-{distribution}-rmw-tautline_{VERSION}_{}.deb", self.architecture);
         execute(Command::new("dpkg").arg("-x").arg(self.out.join(name)).arg(&to))?;
         let (prefix, venv) = (to.join("opt/ros").join(distribution), ros::venv());
-        let mut node = Command::new(venv.join("bin/python"));
-        node.arg(machine::root().join("xtask/src/dist/second.py")).env("AMENT_PREFIX_PATH", &prefix);
-        node.env("LD_LIBRARY_PATH", venv.join("lib")).env("LD_PRELOAD", prefix.join("lib").join(RMW));
-        execute(node.env("RMW_IMPLEMENTATION", "rmw_tautline").env_remove("ROS_DISTRO"))
+        let mut node = second(&venv, &prefix);
+        node.env("AMENT_PREFIX_PATH", &prefix).env("LD_LIBRARY_PATH", venv.join("lib"));
+        execute(node.env("LD_PRELOAD", prefix.join("lib").join(RMW)))
+    }
+
+    /// rclpy beside which pip has installed the wheel, with nothing set but `RMW_IMPLEMENTATION`.
+    fn use_rmw_wheel(&self) -> Result<(), String> {
+        let venv = self.out.join("work/venv").join(ros::distribution());
+        let wheels = ros::wheels();
+        let wheels: Vec<_> = wheels.iter().map(String::as_str).collect();
+        ros::make_venv(&venv, &wheels, ros::python)?;
+        let mut pip = Command::new(venv.join("bin/pip"));
+        pip.args(["install", "--quiet", "--no-deps", "--no-index", "--force-reinstall", "--find-links"]);
+        execute(pip.arg(self.out.join("pypi")).arg("rmw-tautline"))?;
+        execute(Command::new(venv.join("bin/pip")).arg("check"))?;
+        execute(&mut second(&venv, &venv))
     }
 
     /// Writes a file for `pack.sh` with the licences of what is in these packages.
@@ -360,6 +393,14 @@ fn install_cyclonedx() -> Result<(), String> {
     execute(cargo(&format!("install --quiet --debug --locked {CYCLONEDX}")).arg("--root").arg(root))
 }
 
+/// A node of this environment, whose library of rmw_tautline has to be in `folder`.
+fn second(venv: &Path, folder: &Path) -> Command {
+    let mut node = Command::new(venv.join("bin/python"));
+    node.arg(machine::root().join("xtask/src/dist/second.py")).arg(folder);
+    node.env("RMW_IMPLEMENTATION", "rmw_tautline").env_remove("ROS_DISTRO");
+    node
+}
+
 /// Of the wheels.
 fn tools() -> PathBuf {
     machine::target_dir().join("dist-tools")
@@ -400,7 +441,7 @@ mod tests {
             left
         };
         assert!(of(&[Distribution::Jazzy, Distribution::Kilted]).is_empty());
-        assert!(of(&[Distribution::Kilted]) == [Part::Deb, Part::RmwWheel]);
+        assert!(of(&[Distribution::Kilted]) == [Part::Deb]);
         if !Architecture::Arm64.is_here() {
             assert!(not_made(&named, Architecture::Arm64, &[Distribution::Jazzy]).eq([Part::RmwWheel]));
         }

@@ -197,21 +197,21 @@ wheel)
     mv "$data/data/bin" "$data/scripts"
     pack_wheel taut "$first: the command line and the gateway" "Requires-Python: >=3.8"
     ;;
-rmw-wheel)
+rmw-wheel) # One for all distributions: the libraries that were packed for others are in it.
     wheel=$OUT/work/rmw-wheel
-    rm -rf "$wheel"
-    mkdir -p "$wheel/rmw_tautline"
-    library=$wheel/rmw_tautline/librmw_tautline.so
+    rm -rf "$wheel/"*.dist-info
+    mkdir -p "$wheel/rmw_tautline/$DISTRIBUTION"
+    library=$wheel/rmw_tautline/$DISTRIBUTION/librmw_tautline.so
     "$STRIP" -o "$library" "$BUILT/librmw_tautline.so"
-    # ROS's wheels have their libraries in lib of the environment, three folders up. What these need is found there, too.
-    "$TOOLS/bin/patchelf" --force-rpath --set-rpath '$ORIGIN/../../..' "$library"
+    # ROS's wheels have their libraries in lib of the environment, four folders up. What these need is found there, too.
+    "$TOOLS/bin/patchelf" --force-rpath --set-rpath '$ORIGIN/../../../..' "$library"
     sed "s/@VERSION@/$VERSION/" "$REPOSITORY/xtask/src/dist/rmw_tautline.py" > "$wheel/rmw_tautline/__init__.py"
     # Files of this kind are read in the order of their names: after ros_wheels_bootstrapper.pth, which starts Python anew.
     echo "import os; os.environ.get('RMW_IMPLEMENTATION') == 'rmw_tautline' and __import__('rmw_tautline')" \
         > "$wheel/tautline_rmw.pth"
-    # Jazzy's, with whose headers and libraries it is built.
-    pack_wheel rmw-tautline "$first: rmw_tautline for ROS 2 Jazzy" \
-        "Requires-Python: >=3.8" "Requires-Dist: ros-rmw~=7.3.2" "Requires-Dist: ros-rcutils~=6.7.4" \
-        "Requires-Dist: ros-rosidl-runtime-c~=4.6.6" "Requires-Dist: ros-fastcdr~=2.2.5"
+    # From Jazzy's to Kilted's, with whose headers and libraries they are built.
+    pack_wheel rmw-tautline "$first: rmw_tautline for ROS 2 Jazzy and Kilted" \
+        "Requires-Python: >=3.8" "Requires-Dist: ros-rmw>=7.3.2,<7.9" "Requires-Dist: ros-rcutils>=6.7.4,<6.10" \
+        "Requires-Dist: ros-rosidl-runtime-c>=4.6.6,<4.10" "Requires-Dist: ros-fastcdr>=2.2.5,<2.4"
     ;;
 esac

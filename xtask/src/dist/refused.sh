@@ -8,10 +8,10 @@ refused() { # $1 is said by the rest.
     case $said in *"$expected"*) ;; *) echo "not '$expected': $said"; exit 1 ;; esac
     echo "$said" | while read -r line; do case $line in *"$expected"*) echo "$line" ;; esac; done
 }
-refused "it is built for ROS 2 jazzy, and this is kilted (ROS_DISTRO)" env ROS_DISTRO=kilted python3 listener.py
-mkdir -p other/ros_rmw-7.8.2.dist-info
-printf 'Metadata-Version: 2.1\nName: ros-rmw\nVersion: 7.8.2\n' > other/ros_rmw-7.8.2.dist-info/METADATA
-refused "and this is kilted (ros-rmw 7.8.2)" env PYTHONPATH=other python3 listener.py
+refused "ROS_DISTRO is kilted, but ros-rmw 7.3.2 is of jazzy" env ROS_DISTRO=kilted python3 listener.py
+mkdir -p other/ros_rmw-7.1.2.dist-info
+printf 'Metadata-Version: 2.1\nName: ros-rmw\nVersion: 7.1.2\n' > other/ros_rmw-7.1.2.dist-info/METADATA
+refused "it is built for jazzy, and ros-rmw 7.1.2 is of iron" env PYTHONPATH=other python3 listener.py
 # Another version's domain: a file of the same size.
 domain=/dev/shm/taut_7_$(id -u)
 mkdir -m 700 "$domain"

@@ -8,31 +8,27 @@ from importlib import metadata
 
 VERSION = "@VERSION@"
 # The RMW's interface differs between distributions, and so do its structs.
-DISTRIBUTION, INTERFACE = "jazzy", "7.3"
-KNOWN = {"6.1": "humble", "7.1": "iron", INTERFACE: DISTRIBUTION, "7.8": "kilted"}
-
-
-def other_distribution():
-    """The name of a ROS 2 that the library is not built for."""
-    sourced = os.environ.get("ROS_DISTRO") or DISTRIBUTION
-    if sourced != DISTRIBUTION:
-        return f"{sourced} (ROS_DISTRO)"
-    version = metadata.version("ros-rmw")
-    interface = ".".join(version.split(".")[:2])
-    return None if interface == INTERFACE else f"{KNOWN.get(interface, 'another distribution')} (ros-rmw {version})"
+KNOWN = {"6.1": "humble", "7.1": "iron", "7.3": "jazzy", "7.8": "kilted"}
+LIBRARY = os.path.join(os.path.dirname(__file__), "{}", "librmw_tautline.so")
 
 
 def load():
-    """Loads the library, or returns why not and what to do."""
+    """Loads the library of the wheels' ROS 2, or returns why not and what to do."""
     try:
-        other = other_distribution()
-        if other:
-            return f"it is built for ROS 2 {DISTRIBUTION}, and this is {other}: build it from source for that one"
-        ctypes.CDLL(os.path.join(os.path.dirname(__file__), "librmw_tautline.so"), ctypes.RTLD_GLOBAL)
+        version = metadata.version("ros-rmw")
     except metadata.PackageNotFoundError:
         return "the wheels of ROS 2 are missing: pip install 'ros-jazzy-rclpy[fastrtps]'"
+    name = KNOWN.get(".".join(version.split(".")[:2]), "another distribution")
+    sourced = os.environ.get("ROS_DISTRO") or name
+    if sourced != name:
+        return f"ROS_DISTRO is {sourced}, but ros-rmw {version} is of {name}: use packages of one distribution"
+    built = [each for each in KNOWN.values() if os.path.exists(LIBRARY.format(each))]
+    if name not in built:
+        return f"it is built for {' and '.join(built)}, and ros-rmw {version} is of {name}: build it from source for that one"
+    try:
+        ctypes.CDLL(LIBRARY.format(name), ctypes.RTLD_GLOBAL)
     except OSError as error:
-        return f"{error}: pip install --force-reinstall ros-rmw ros-fastcdr"
+        return f"{error}: pip install --force-reinstall 'ros-{name}-rclpy[fastrtps]'"
     return None
 
 
