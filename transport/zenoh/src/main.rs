@@ -91,7 +91,9 @@ fn introduce(gateway: &Gateway, options: &Options) {
         say(format_args!("listening on {locators}"));
         if config.is_unguarded() {
             say(format_args!(
-                "other hosts can connect without TLS or access control: docs/deployment.md has a configuration with both"
+                "every host that reaches this one can read and write every topic: neither client certificates (a tls/ endpoint with \
+                 transport/link/tls/enable_mtls: true) nor access control with default_permission: \"deny\" is configured; \
+                 docs/deployment.md has a configuration with both"
             ));
         }
     } else {
