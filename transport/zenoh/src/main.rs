@@ -10,15 +10,12 @@ use args::Args;
 use clap::Parser;
 use rustix::fs::Mode;
 use std::error::Error;
-use std::fmt;
-use std::io::{self, Write};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tautline_gateway::{Gateway, GatewayError, Instance, Options, SessionError};
-use tautline_relay::{show_until, stop_on_signals};
+use tautline_relay::{say, show_until, stderr, stop_on_signals};
 use tautline_rt::Realtime;
-use tautline_rt::terminal::Escaped;
 use tracing_subscriber::Layer;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
@@ -49,16 +46,6 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
-}
-
-/// Standard error, where parts of the text may be other hosts'.
-fn stderr() -> Escaped<io::StderrLock<'static>> {
-    Escaped::new(io::stderr().lock())
-}
-
-fn say(text: fmt::Arguments<'_>) {
-    // Ignored: nobody reads it.
-    let _ = writeln!(stderr(), "{text}");
 }
 
 fn run(args: &Args) -> Result<ExitCode, Box<dyn Error>> {

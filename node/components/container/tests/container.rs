@@ -73,6 +73,22 @@ fn components_of_one_process_work_together_until_it_ends() {
 }
 
 #[test]
+fn components_run_on_when_nobody_reads_their_names() {
+    let context = Context::builder().domain(59).realtime(Realtime::Off).build().unwrap();
+    let mut node = Node::create(context.clone(), "test", "").unwrap();
+    let counts = node.subscribe::<UInt64>("/unread/count", Qos::default()).unwrap();
+    let spinning = std::thread::spawn(move || context.spin().map(|()| context));
+    let (reader, closed) = std::io::pipe().unwrap();
+    drop(reader);
+    let mut command = container(59, &[format!("{}:demo::Counter", demo().display())]);
+    let running = Running(command.args(["--namespace", "/unread"]).stdout(closed).spawn().unwrap());
+    assert_eq!(block_on(counts.take(2).count()), 2);
+    drop(running);
+    node.context().shutdown();
+    drop(spinning.join().unwrap().unwrap());
+}
+
+#[test]
 fn a_library_of_another_build_is_refused_with_both_builds() {
     let folder = tempfile::tempdir().unwrap();
     let bytes = std::fs::read(demo()).unwrap();
