@@ -38,7 +38,7 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             say(format_args!("taut-bridge-ros: {error}"));
-            ExitCode::FAILURE
+            ExitCode::from(2)
         }
     }
 }

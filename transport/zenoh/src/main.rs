@@ -43,7 +43,7 @@ fn main() -> ExitCode {
         Ok(code) => code,
         Err(error) => {
             say(format_args!("taut-gateway: {error}"));
-            ExitCode::FAILURE
+            ExitCode::from(2)
         }
     }
 }

@@ -59,7 +59,7 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             let _ = writeln!(io::stderr(), "taut-container: {error}");
-            ExitCode::FAILURE
+            ExitCode::from(2)
         }
     }
 }
