@@ -14,7 +14,7 @@ use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tautline_bridge_ros::{Bridge, Instance, Options, ignore_own_endpoints};
-use tautline_relay::{show_until, stop_on_signals};
+use tautline_relay::{say, show_until, stop_on_signals};
 use tautline_rt::Realtime;
 
 fn main() -> ExitCode {
@@ -31,12 +31,14 @@ fn main() -> ExitCode {
         .with_writer(std::io::stderr)
         .with_ansi(colours)
         .without_time()
+        // It would say with a panic that standard error is closed or full, and so end a thread of the bridge.
+        .log_internal_errors(false)
         .init();
     match run(&args) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("taut-bridge-ros: {error}");
-            ExitCode::FAILURE
+            say(format_args!("taut-bridge-ros: {error}"));
+            ExitCode::from(2)
         }
     }
 }
@@ -70,24 +72,32 @@ fn start(args: &Args, options: Options, stop: &AtomicBool) -> Result<Option<Brid
 /// Prints the bridge's configuration once, to standard error.
 fn introduce(bridge: &Bridge, options: &Options) {
     let stats = bridge.stats();
-    eprintln!("bridge of domain {} and ROS domain {} ({})", stats.domain, stats.ros_domain, stats.rmw);
+    say(format_args!(
+        "bridge of domain {} and ROS domain {} ({})",
+        stats.domain, stats.ros_domain, stats.rmw
+    ));
     let rules = &options.rules;
     match (rules.auto, rules.rules.len()) {
-        (true, 0) => eprintln!("all topics that one side publishes and the other subscribes to"),
-        (true, n) => eprintln!("{n} topics or patterns of the file, and all other topics"),
-        (false, n) => eprintln!("{n} topics or patterns of the file, nothing else (--auto bridges the rest)"),
+        (true, 0) => say(format_args!("all topics that one side publishes and the other subscribes to")),
+        (true, n) => say(format_args!("{n} topics or patterns of the file, and all other topics")),
+        (false, n) => {
+            say(format_args!("{n} topics or patterns of the file, nothing else (--auto bridges the rest)"))
+        }
     }
     match options.realtime {
-        Realtime::Off => eprintln!("without real-time priorities: the bridge competes with callbacks"),
+        Realtime::Off => {
+            say(format_args!("without real-time priorities: the bridge competes with callbacks"))
+        }
         Realtime::Required => {
             for thread in bridge.threads() {
-                eprintln!("thread {}: {}", thread.name, thread.policy);
+                say(format_args!("thread {}: {}", thread.name, thread.policy));
             }
             match options.budget {
-                Some(budget) => {
-                    eprintln!("budget: {} % of a core; above it, threads run as SCHED_OTHER", budget.percent);
-                }
-                None => eprintln!("no budget: a flood can starve callbacks"),
+                Some(budget) => say(format_args!(
+                    "budget: {} % of a core; above it, threads run as SCHED_OTHER",
+                    budget.percent
+                )),
+                None => say(format_args!("no budget: a flood can starve callbacks")),
             }
         }
     }

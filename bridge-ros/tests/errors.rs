@@ -5,11 +5,11 @@ mod support;
 
 use rustix::fs::OFlags;
 use rustix::process::{Pid, Signal, kill_process};
-use serde_json::json;
+use serde_json::{Value, json};
 use std::fs;
-use std::io::Write;
+use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Stdio};
 use support::{
     BridgeProcess, Peer, STRING, built, failure, failure_of, matched, publisher, reserve, ros, scope,
     text_body, wait_until,
@@ -201,6 +201,31 @@ fn a_second_signal_does_not_wait_for_the_end() {
     drop(Participant::new(38).unwrap());
     let lock = format!("/dev/shm/{}/bridge_ros_38", tautline_rt::domain::shared_folder(38));
     assert!(!Path::new(&lock).exists());
+}
+
+#[test]
+fn it_bridges_on_when_nobody_reads_what_it_says() {
+    if ros().is_none() {
+        return;
+    }
+    let (reader, closed) = std::io::pipe().unwrap();
+    drop(reader);
+    let mut command = Command::new(BRIDGE);
+    command.args(["--domain", "46", "--ros-domain", "46", "--no-rt", "--json", "--interval", "0.1"]);
+    reserve(46);
+    command.env("TAUT_SCOPE", scope()).env_remove("RUST_LOG").stdout(Stdio::piped()).stderr(closed);
+    let mut bridge = command.spawn().unwrap();
+    let lines = BufReader::new(bridge.stdout.take().unwrap()).lines();
+    let mut numbers = lines.map(|line| serde_json::from_str::<Value>(&line.unwrap()).unwrap());
+    let participant = Participant::new(46).unwrap();
+    // The thread that warns of the first one also finds the second.
+    for topic in ["/first", "/second"] {
+        let _publisher = publisher(&participant, topic, "no_such_msgs/msg/Thing", Qos::default());
+        let is_told = |numbers: Value| numbers["not_bridged"][topic].is_string();
+        assert!(numbers.by_ref().take(1200).any(is_told), "{topic}");
+    }
+    kill_process(Pid::from_child(&bridge), Signal::TERM).unwrap();
+    assert!(bridge.wait().unwrap().success());
 }
 
 #[test]

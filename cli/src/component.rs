@@ -5,7 +5,7 @@ use crate::arguments::full_name;
 use crate::call::Caller;
 use crate::completions;
 use crate::log::{LEVELS, severity};
-use crate::sibling::{Sibling, sibling};
+use crate::sibling::Sibling;
 use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::{Args, Subcommand, ValueHint};
 use serde_json::json;
@@ -18,7 +18,12 @@ use tautline::rcl_interfaces::msg;
 use tautline::{LogSeverity, ParameterValue};
 use tautline_msgs::Service;
 
-const CONTAINER: Sibling = sibling!("taut-container", "tautline-container", "node/components/container");
+const CONTAINER: Sibling = Sibling {
+    program: "taut-container",
+    // Not by `cargo install`, which leaves out the library that it shares with components.
+    build: "build it together with your components, as docs/composition.md says: \
+            `cargo build --release -p taut -p tautline-container -p YOUR_COMPONENTS`",
+};
 
 /// The node of a container without a given name.
 pub const MANAGER: &str = "/ComponentManager";

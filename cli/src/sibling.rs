@@ -20,36 +20,20 @@ pub enum SiblingError {
     Exec { program: PathBuf, source: std::io::Error },
 }
 
-/// The program of a package in a folder of this repository.
-macro_rules! sibling {
+/// The program of a package in a folder of this repository, which every package with `taut` has.
+macro_rules! packaged {
     ($program:literal, $package:literal, $folder:literal) => {
-        $crate::sibling::sibling!($program, $package, $folder, "")
-    };
-    ($program:literal, $package:literal, $folder:literal, $before:literal) => {
-        $crate::sibling::Sibling {
+        Sibling {
             program: $program,
             build: concat!(
-                $before,
-                "build it with `cargo build --release -p ",
+                "if taut was installed from a package, reinstall that (`pip install --force-reinstall taut`, `apt reinstall tautline`); \
+                 otherwise build it with `cargo build --release -p ",
                 $package,
                 "`, or install it with `cargo install --path ",
                 $folder,
                 "`"
             ),
         }
-    };
-}
-pub(crate) use sibling;
-
-/// One that every package with `taut` has.
-macro_rules! packaged {
-    ($program:literal, $package:literal, $folder:literal) => {
-        sibling!(
-            $program,
-            $package,
-            $folder,
-            "if taut was installed from a package, reinstall that (`pip install --force-reinstall taut`, `apt reinstall tautline`); otherwise "
-        )
     };
 }
 

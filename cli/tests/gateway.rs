@@ -28,6 +28,16 @@ fn the_program_is_found_or_its_absence_explained() {
         }
     }
 
+    let absent = Command::new(&taut).args(["component", "run"]).env("PATH", "/nowhere").output().unwrap();
+    let message = String::from_utf8(absent.stderr).unwrap();
+    assert!(
+        absent.status.code() == Some(2)
+            && message.contains("taut-container is not there: neither beside")
+            && message.contains("together with your components")
+            && !message.contains("cargo install"),
+        "{message}"
+    );
+
     let script = "#!/bin/sh\necho \"$@\"\nexit 3\n";
     let program = directory.join("taut-gateway");
     std::fs::write(&program, script).unwrap();

@@ -266,7 +266,7 @@ Wheels need Python 3.11 and PyPI, the SBOM a tool that is built in a minute. Eac
         /// Build the programs of the last commit once more in another folder, and compare their bytes
         #[arg(long, conflicts_with = "architecture")]
         verify: bool,
-        /// rmw_tautline for this ROS 2 alone [default: a `.deb` for each, a wheel for Jazzy]
+        /// rmw_tautline for this ROS 2 alone [default: a `.deb` for each, one wheel for all]
         #[arg(long, value_enum)]
         distro: Option<ros::Distribution>,
     },

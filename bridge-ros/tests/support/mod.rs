@@ -122,6 +122,6 @@ pub fn failure(mut command: Command) -> String {
         std::thread::sleep(Duration::from_millis(5));
     }
     child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
-    assert!(!child.wait().unwrap().success(), "it runs: {said}");
+    assert_eq!(child.wait().unwrap().code(), Some(2), "it runs, or ends otherwise: {said}");
     said
 }

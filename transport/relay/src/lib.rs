@@ -40,7 +40,7 @@ pub use mirror::{InKey, Inward, Side, TopicKey};
 pub use pattern::{Filter, Pattern, PatternError};
 pub use process::process_node;
 pub use program::{
-    DomainError, SignalError, counted, domain_of, parse_interval, show_until, stop_on_signals,
+    DomainError, SignalError, counted, domain_of, parse_interval, say, show_until, stderr, stop_on_signals,
 };
 pub use relay::{Relay, RelayError};
 pub use route::{EarlyLimits, Egress, Last, Outbound, OutboundSample};

@@ -4,6 +4,7 @@
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use signal_hook::iterator::Signals;
+use std::fmt;
 use std::io::{self, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -63,6 +64,16 @@ pub fn show_until<S: Serialize>(
             }
         }
     }
+}
+
+/// Standard error, where parts of the text may be other hosts'.
+pub fn stderr() -> Escaped<io::StderrLock<'static>> {
+    Escaped::new(io::stderr().lock())
+}
+
+/// Writes a line to [`stderr`]. Unlike `eprintln!` it goes on where that is closed or full, for nobody reads it.
+pub fn say(text: fmt::Arguments<'_>) {
+    let _ = writeln!(stderr(), "{text}");
 }
 
 fn print(stats: &impl Serialize) -> io::Result<()> {

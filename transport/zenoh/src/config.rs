@@ -167,11 +167,14 @@ impl SessionConfig {
         self.listen.iter().any(|endpoint| !is_loopback(endpoint))
     }
 
-    /// Whether other hosts that reach this one may connect without a certificate or a rule that lets them.
+    /// Whether other hosts that reach this one may connect without a certificate, and use topics without a rule that lets them.
     pub fn is_unguarded(&self) -> bool {
-        let has_rules = self.zenoh.get_json("access_control/enabled").is_ok_and(|text| text == "true");
-        let encrypted = |endpoint: &String| endpoint.starts_with("tls/") || endpoint.starts_with("quic/");
-        !(has_rules || self.listen.iter().all(|endpoint| is_loopback(endpoint) || encrypted(endpoint)))
+        let is = |key: &str, value: &str| self.zenoh.get_json(key).is_ok_and(|text| text == value);
+        let denies = is("access_control/enabled", "true")
+            && is("access_control/default_permission", "\"deny\"");
+        let asks = is("transport/link/tls/enable_mtls", "true");
+        let is_guarded = |endpoint: &String| is_loopback(endpoint) || asks_certificate(endpoint, asks);
+        !(denies || self.listen.iter().all(is_guarded))
     }
 
     /// Whether all links stay on this host.
@@ -303,6 +306,15 @@ pub(crate) fn is_loopback(endpoint: &str) -> bool {
     host == "localhost" || host.parse().is_ok_and(|ip: std::net::IpAddr| ip.is_loopback())
 }
 
+/// Whether who connects to this endpoint must have a certificate. TLS alone asks for none: `enable_mtls` does, the endpoint's own or, without
+/// that, the configuration's.
+fn asks_certificate(endpoint: &str, by_default: bool) -> bool {
+    let own = endpoint.split_once('#').map_or("", |(_, own)| own);
+    let own = own.split(';').find_map(|setting| setting.strip_prefix("enable_mtls="));
+    let is_tls = endpoint.starts_with("tls/") || endpoint.starts_with("quic/");
+    is_tls && own.map_or(by_default, |value| value == "true")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -427,13 +439,23 @@ mod tests {
                 config(&Network { file: Some(file.path().into()), ..Network::default() }, &[]).unwrap();
             (config.is_reachable(), config.is_unguarded())
         };
-        assert_eq!(open("tcp/0.0.0.0:7447", ""), (true, true));
-        assert_eq!(open("tls/0.0.0.0:7447", ""), (true, false));
-        assert_eq!(
-            open("tcp/[::]:7447", "access_control: { enabled: true, default_permission: \"deny\" }"),
-            (true, false)
-        );
-        assert_eq!(open("tcp/127.0.0.1:7447", ""), (false, false));
+        let certificates = "transport: { link: { tls: { enable_mtls: true } } }";
+        let denied = "access_control: { enabled: true, default_permission: \"deny\" }";
+        for (listen, more, expected) in [
+            ("tcp/0.0.0.0:7447", "", (true, true)),
+            ("tcp/0.0.0.0:7447", certificates, (true, true)),
+            // TLS without certificates of those that connect lets everyone in.
+            ("tls/0.0.0.0:7447", "", (true, true)),
+            ("tls/0.0.0.0:7447", certificates, (true, false)),
+            ("tls/0.0.0.0:7447#enable_mtls=true", "", (true, false)),
+            ("tls/0.0.0.0:7447#enable_mtls=false", certificates, (true, true)),
+            ("tcp/[::]:7447", denied, (true, false)),
+            ("tcp/[::]:7447", &*denied.replace("deny", "allow"), (true, true)),
+            ("tcp/[::]:7447", &*denied.replace("true", "false"), (true, true)),
+            ("tcp/127.0.0.1:7447", "", (false, false)),
+        ] {
+            assert_eq!(open(listen, more), expected, "{listen} {more}");
+        }
     }
 
     #[test]

@@ -95,6 +95,19 @@ impl Gateway {
 
     /// Like [`spawn`](Self::spawn), with a lock from [`Instance::wait`].
     pub fn spawn_in(options: Options, lock: InstanceLock) -> Result<Self, GatewayError> {
+        Self::spawn_while(options, lock, |_| true)
+    }
+
+    /// Like [`spawn_in`](Self::spawn_in), but gives up when `go_on` returns false. It is called every 50 ms while the session opens, which
+    /// for a client takes until it has its link: without end if no router answers.
+    ///
+    /// # Errors
+    /// As [`spawn`](Self::spawn), and [`SessionError::GivenUp`].
+    pub fn spawn_while(
+        options: Options,
+        lock: InstanceLock,
+        mut go_on: impl FnMut(&SessionConfig) -> bool,
+    ) -> Result<Self, GatewayError> {
         let config =
             options.network.session_config(|name| std::env::var(name).ok(), options.max_message_bytes)?;
         let participant = Participant::new(options.domain)?;
@@ -104,7 +117,8 @@ impl Gateway {
             Realtime::Required => Policy::Fifo(options.priority),
             Realtime::Off => tautline_rt::current_policy()?,
         };
-        let session = session::open(config.clone(), policy, options.realtime, options.cores)?;
+        let go_on = || go_on(&config);
+        let session = session::open(config.clone(), policy, options.realtime, options.cores, go_on)?;
         let outgoing = outgoing::start(&participant, policy, options.realtime, options.cores)?;
 
         let (events, received) = mpsc::sync_channel(EVENTS);

@@ -10,18 +10,18 @@ use args::Args;
 use clap::Parser;
 use rustix::fs::Mode;
 use std::error::Error;
-use std::fmt;
-use std::io::{self, Write};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
-use tautline_gateway::{Gateway, Instance, Options};
-use tautline_relay::{show_until, stop_on_signals};
+use std::time::{Duration, Instant};
+use tautline_gateway::{Gateway, GatewayError, Instance, Options, SessionError};
+use tautline_relay::{say, show_until, stderr, stop_on_signals};
 use tautline_rt::Realtime;
-use tautline_rt::terminal::Escaped;
 use tracing_subscriber::Layer;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
+
+/// The time after which the wait for a link is said.
+const PATIENCE: Duration = Duration::from_secs(1);
 
 fn main() -> ExitCode {
     let args = Args::parse();
@@ -40,41 +40,47 @@ fn main() -> ExitCode {
         .with(tautline_gateway::access_layer())
         .init();
     match run(&args) {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(code) => code,
         Err(error) => {
             say(format_args!("taut-gateway: {error}"));
-            ExitCode::FAILURE
+            ExitCode::from(2)
         }
     }
 }
 
-/// Standard error, where parts of the text may be other hosts'.
-fn stderr() -> Escaped<io::StderrLock<'static>> {
-    Escaped::new(io::stderr().lock())
-}
-
-fn say(text: fmt::Arguments<'_>) {
-    // Ignored: nobody reads it.
-    let _ = writeln!(stderr(), "{text}");
-}
-
-fn run(args: &Args) -> Result<(), Box<dyn Error>> {
+fn run(args: &Args) -> Result<ExitCode, Box<dyn Error>> {
     let options = args.options()?;
     let stop = stop_on_signals()?;
-    let Some(gateway) = start(args, options.clone(), &stop)? else { return Ok(()) };
+    let gateway = match start(args, options.clone(), &stop) {
+        Ok(Some(gateway)) => gateway,
+        Ok(None) => return Ok(ExitCode::SUCCESS),
+        Err(GatewayError::Session(SessionError::GivenUp { .. })) => return Ok(ExitCode::FAILURE),
+        Err(error) => return Err(error.into()),
+    };
     introduce(&gateway, &options);
     let interval = Duration::from_secs_f64(args.interval);
     show_until(&stop, interval, args.json, || gateway.stats(), status::line);
-    Ok(())
+    Ok(ExitCode::SUCCESS)
 }
 
-/// `None`: a signal ended the wait for another gateway.
-fn start(args: &Args, options: Options, stop: &AtomicBool) -> Result<Option<Gateway>, Box<dyn Error>> {
-    if !args.standby {
-        return Ok(Some(Gateway::spawn(options)?));
-    }
-    let lock = Instance::gateway(options.domain).wait(|| stop.load(Ordering::Relaxed))?;
-    Ok(lock.map(|lock| Gateway::spawn_in(options, lock)).transpose()?)
+/// `None`: a signal ended the wait for another gateway. One that ends the wait for a link is [`SessionError::GivenUp`].
+fn start(args: &Args, options: Options, stop: &AtomicBool) -> Result<Option<Gateway>, GatewayError> {
+    let is_stopped = || stop.load(Ordering::Relaxed);
+    let instance = Instance::gateway(options.domain);
+    let lock = if args.standby { instance.wait(is_stopped)? } else { Some(instance.lock()?) };
+    let Some(lock) = lock else { return Ok(None) };
+    let (start, mut is_said) = (Instant::now(), false);
+    let gateway = Gateway::spawn_while(options, lock, |config| {
+        if start.elapsed() > PATIENCE && !std::mem::replace(&mut is_said, true) {
+            let whom = match config.connect.join(" ") {
+                whom if whom.is_empty() => String::from("a host that multicast finds"),
+                whom => whom,
+            };
+            say(format_args!("waiting for {whom} ..."));
+        }
+        !is_stopped()
+    });
+    gateway.map(Some)
 }
 
 /// Prints the gateway's configuration and addresses once, to standard error.
@@ -91,7 +97,9 @@ fn introduce(gateway: &Gateway, options: &Options) {
         say(format_args!("listening on {locators}"));
         if config.is_unguarded() {
             say(format_args!(
-                "other hosts can connect without TLS or access control: docs/deployment.md has a configuration with both"
+                "every host that reaches this one can read and write every topic: neither client certificates (a tls/ endpoint with \
+                 transport/link/tls/enable_mtls: true) nor access control with default_permission: \"deny\" is configured; \
+                 docs/deployment.md has a configuration with both"
             ));
         }
     } else {

@@ -7,6 +7,8 @@ use std::fs::Permissions;
 use std::io;
 use std::os::unix::fs::PermissionsExt;
 use std::path::PathBuf;
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::time::Duration;
 use tautline_rt::{CoreSet, Policy, Realtime, RtError, ThreadBuilder, ThreadInfo};
 use zenoh::{Session, Wait};
 
@@ -33,17 +35,28 @@ pub enum SessionError {
         /// The system's error.
         source: io::Error,
     },
+    /// The caller gave up.
+    #[error("opening the session was given up before there was a link to any of {connect:?}")]
+    GivenUp {
+        /// The endpoints to connect to.
+        connect: Vec<String>,
+    },
 }
 
-/// Opens a session whose threads have `policy`.
+/// How often the caller is asked whether to go on.
+const POLL: Duration = Duration::from_millis(50);
+
+/// Opens a session whose threads have `policy`, while `go_on` is true: a client's opens only once it has its link. A session that is open
+/// after that closes at once.
 pub(crate) fn open(
     config: SessionConfig,
     policy: Policy,
     realtime: Realtime,
     cores: Option<CoreSet>,
+    mut go_on: impl FnMut() -> bool,
 ) -> Result<Session, SessionError> {
-    let SessionConfig { zenoh: zenoh_config, listen, .. } = config;
-    let open = move || {
+    let SessionConfig { zenoh: zenoh_config, listen, connect, .. } = config;
+    let open = move || -> Result<Session, SessionError> {
         let session = zenoh::open(zenoh_config)
             .wait()
             .map_err(|error| SessionError::Open { reason: error.to_string(), listen: listen.clone() })?;
@@ -60,7 +73,19 @@ pub(crate) fn open(
         .policy(policy)
         .realtime(realtime)
         .stack_bytes(4 << 20);
-    builder.spawn(move || open)?.join()?
+    let (running, ended) = mpsc::channel::<()>();
+    let opening = builder.spawn(move || {
+        move || {
+            let _running = running;
+            open()
+        }
+    })?;
+    while ended.recv_timeout(POLL) == Err(RecvTimeoutError::Timeout) {
+        if !go_on() {
+            return Err(SessionError::GivenUp { connect });
+        }
+    }
+    opening.join()?
 }
 
 /// Zenoh's threads in this process, as reported by the kernel.
@@ -84,7 +109,6 @@ fn is_network_thread(name: &str) -> bool {
 mod tests {
     use super::*;
     use crate::config::{MAX_MESSAGE_BYTES, Network};
-    use std::time::Duration;
 
     fn config(listen: &str, connect: &str) -> SessionConfig {
         let network =
@@ -106,19 +130,12 @@ mod tests {
             println!("skipped: {error}");
             return;
         }
-        let refused =
-            open(config("tcp/192.0.2.1:1", "tcp/127.0.0.1:1"), Policy::Fifo(40), Realtime::Required, None);
+        let open = |config| open(config, Policy::Fifo(40), Realtime::Required, None, || true);
+        let refused = open(config("tcp/192.0.2.1:1", "tcp/127.0.0.1:1"));
         assert!(refused.unwrap_err().to_string().contains("192.0.2.1"));
-        let first = open(
-            config("tcp/127.0.0.1:17460", "tcp/127.0.0.1:1"),
-            Policy::Fifo(40),
-            Realtime::Required,
-            None,
-        );
-        let first = first.unwrap();
+        let first = open(config("tcp/127.0.0.1:17460", "tcp/127.0.0.1:1")).unwrap();
         // Threads for links appear with the first link.
-        let second = config("tcp/127.0.0.1:0", "tcp/127.0.0.1:17460");
-        let second = open(second, Policy::Fifo(40), Realtime::Required, None).unwrap();
+        let second = open(config("tcp/127.0.0.1:0", "tcp/127.0.0.1:17460")).unwrap();
         while second.info().peers_zid().wait().count() == 0 {
             std::thread::sleep(Duration::from_millis(5));
         }

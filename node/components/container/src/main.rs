@@ -5,6 +5,7 @@
 
 use clap::Parser;
 use std::error::Error;
+use std::io::{self, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::{Arc, Mutex};
@@ -57,8 +58,8 @@ fn main() -> ExitCode {
     match run(&Args::parse_from(own), ros.iter().map(|arg| arg.to_string_lossy().into_owned())) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("taut-container: {error}");
-            ExitCode::FAILURE
+            let _ = writeln!(io::stderr(), "taut-container: {error}");
+            ExitCode::from(2)
         }
     }
 }
@@ -95,7 +96,8 @@ fn run(args: &Args, ros_args: impl Iterator<Item = String>) -> Result<(), Box<dy
         let namespace = args.namespace.clone();
         let load = Load { library, component, namespace, use_global_arguments: true, ..Load::default() };
         let id = container.load(&load)?;
-        println!("{id} {}", container.full_name(id).unwrap_or_default());
+        // Who does not read it may leave: the components run on.
+        let _ = writeln!(io::stdout(), "{id} {}", container.full_name(id).unwrap_or_default());
     }
     let container = Arc::new(Mutex::new(container));
     let serve = tautline_components::serve(&container, &mut node)?;

@@ -31,8 +31,9 @@ fn container(domain: u32, loads: &[String]) -> Command {
 /// What the container says of what it does not load.
 fn refused(loads: &[String]) -> String {
     let Output { status, stderr, .. } = container(59, loads).output().unwrap();
-    assert!(!status.success());
-    String::from_utf8(stderr).unwrap()
+    let said = String::from_utf8(stderr).unwrap();
+    assert_eq!(status.code(), Some(2), "{said}");
+    said
 }
 
 /// A parameter, or an extra argument.
@@ -68,6 +69,22 @@ fn components_of_one_process_work_together_until_it_ends() {
     let pid = rustix::process::Pid::from_child(&running.0);
     rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
     assert!(running.0.wait().unwrap().success());
+    node.context().shutdown();
+    drop(spinning.join().unwrap().unwrap());
+}
+
+#[test]
+fn components_run_on_when_nobody_reads_their_names() {
+    let context = Context::builder().domain(59).realtime(Realtime::Off).build().unwrap();
+    let mut node = Node::create(context.clone(), "test", "").unwrap();
+    let counts = node.subscribe::<UInt64>("/unread/count", Qos::default()).unwrap();
+    let spinning = std::thread::spawn(move || context.spin().map(|()| context));
+    let (reader, closed) = std::io::pipe().unwrap();
+    drop(reader);
+    let mut command = container(59, &[format!("{}:demo::Counter", demo().display())]);
+    let running = Running(command.args(["--namespace", "/unread"]).stdout(closed).spawn().unwrap());
+    assert_eq!(block_on(counts.take(2).count()), 2);
+    drop(running);
     node.context().shutdown();
     drop(spinning.join().unwrap().unwrap());
 }
