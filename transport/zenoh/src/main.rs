@@ -53,8 +53,7 @@ fn run(args: &Args) -> Result<ExitCode, Box<dyn Error>> {
     let stop = stop_on_signals()?;
     let gateway = match start(args, options.clone(), &stop) {
         Ok(Some(gateway)) => gateway,
-        Ok(None) => return Ok(ExitCode::SUCCESS),
-        Err(GatewayError::Session(SessionError::GivenUp { .. })) => return Ok(ExitCode::FAILURE),
+        Ok(None) | Err(GatewayError::Session(SessionError::GivenUp { .. })) => return Ok(ExitCode::SUCCESS),
         Err(error) => return Err(error.into()),
     };
     introduce(&gateway, &options);
