@@ -229,9 +229,11 @@ impl Reader {
             }
             now_ns = monotonic_ns();
             for _ in 0..MOST_AT_ONCE {
+                // What waited for room was wanted.
+                let is_wanted = place.held.is_some();
                 let Some(sample) = place.next(until_ns) else { break };
                 took = true;
-                if !place.wants(&sample, is_paused) {
+                if !is_wanted && !place.wants(&sample, is_paused) {
                     continue;
                 }
                 let (front, front_bytes) = place.part.front(&sample.info());
@@ -379,5 +381,40 @@ impl Place {
         port.last = sample.port_sequence_number();
         port.in_second += 1;
         port.peak = port.peak.max(port.in_second);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rtrb::RingBuffer;
+    use std::sync::mpsc::channel;
+    use tautline_transport::{Limits, Participant, Qos, TopicType};
+
+    #[test]
+    fn a_throttled_message_that_waited_for_room_is_kept() {
+        let participant = Participant::new(97).unwrap();
+        let topic_type = TopicType::new("demo_msgs/msg/Bytes");
+        let (qos, limits) = (Qos::keep_last(4), Limits { held: 1, ..Limits::default() });
+        let publisher = participant.create_raw_publisher("/thinned", &topic_type, qos, limits).unwrap();
+        let subscription = participant.create_observer("/thinned", &topic_type, 4, limits).unwrap();
+        let (to_reader, new_observers) = channel();
+        let (part, throttle_ns) = (Part::Message, Some(1_000_000_000_000_000));
+        let counts = Arc::default();
+        let observer = Observer { number: 0, part, subscription, throttle_ns, counts, is_renewed: false };
+        assert!(to_reader.send(observer).is_ok());
+        let (mut producer, mut consumer) = RingBuffer::<u8>::new(1 << 16);
+        producer.push_entire_slice(&[0; 1 << 16]).unwrap();
+        let pace = Pace { period_ns: 1_000_000, is_paused: Arc::default() };
+        let mut reader = Reader::new(producer, new_observers, pace, Arc::default());
+        reader.admit();
+        publisher.publish(&[1; 64]).unwrap();
+        assert!(reader.take_waiting(false));
+        assert_eq!((reader.waited, reader.places[0].taken.messages), (1, 0), "the ring is full");
+        consumer.read_chunk(1 << 16).unwrap().commit_all();
+        publisher.publish(&[2; 64]).unwrap();
+        assert!(reader.take_waiting(false));
+        let taken = &reader.places[0].taken;
+        assert_eq!((taken.messages, taken.throttled), (1, 1));
     }
 }
