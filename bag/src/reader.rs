@@ -117,6 +117,7 @@ pub enum Event<'b> {
 pub struct FileReader {
     file: File,
     path: PathBuf,
+    /// Its length, or 0 if it has no beginning.
     bytes: u64,
     summary: FileSummary,
     damage: Vec<Damage>,
@@ -187,6 +188,8 @@ fn to_convert(what: &str, path: &Path) -> String {
 }
 
 impl FileReader {
+    /// A `.mcap` file whose beginning was never written is opened; all of it is damaged.
+    ///
     /// # Errors
     /// It cannot be opened, or does not begin as an MCAP file.
     pub fn open(path: &Path) -> Result<Self, BagError> {
@@ -196,16 +199,18 @@ impl FileReader {
         if !metadata.is_file() {
             return Err(no_bag("it is not a file"));
         }
-        let (path, bytes) = (path.to_owned(), metadata.len());
+        let (path, mut bytes) = (path.to_owned(), metadata.len());
+        let summary = FileSummary { path: path.clone(), bytes, ..FileSummary::default() };
         let mut magic = [0; 8];
         if bytes < 8 || file.read_exact_at(&mut magic, 0).is_err() || magic != *MAGIC {
-            return Err(match form_of(&path) {
-                Ok(Form::Sqlite3) => no_bag(&to_convert("it is a database of SQLite", &path)),
-                Ok(Form::Zstd) => no_bag(&to_convert("it is compressed as a whole", &path)),
-                _ => no_bag("it does not begin as an MCAP file"),
-            });
+            match form_of(&path) {
+                // Without its beginning nothing of it is found.
+                Ok(Form::Mcap) => bytes = 0,
+                Ok(Form::Sqlite3) => return Err(no_bag(&to_convert("it is a database of SQLite", &path))),
+                Ok(Form::Zstd) => return Err(no_bag(&to_convert("it is compressed as a whole", &path))),
+                Err(_) => return Err(no_bag("it does not begin as an MCAP file")),
+            }
         }
-        let summary = FileSummary { path: path.clone(), bytes, ..FileSummary::default() };
         Ok(FileReader {
             file,
             path,
@@ -316,7 +321,11 @@ impl FileReader {
         let head = self.head(position)?.map(|(kind, len)| (kind, RECORD_HEAD + len));
         let there = head.filter(|(_, whole)| position + whole <= self.bytes);
         if there.is_none() {
-            self.note(position, "the file is cut off");
+            let what = match self.bytes {
+                0 => "nothing is in it: its beginning was never written",
+                _ => "the file is cut off",
+            };
+            self.note(position.min(self.bytes), what);
         }
         Ok(there)
     }

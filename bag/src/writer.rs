@@ -274,7 +274,18 @@ impl Open {
         is_behind: Arc<AtomicBool>,
     ) -> Result<Self, BagError> {
         let Options { compression, memory_bytes, .. } = options;
-        let (mut claim, claimed, end) = create(path, memory_bytes.unwrap_or(MEMORY_BYTES) / 2, is_behind)?;
+        let new = create(path, memory_bytes.unwrap_or(MEMORY_BYTES) / 2, is_behind)?;
+        Self::begin(path, compression, new).inspect_err(|_| {
+            // Nothing is in it.
+            let _ = fs::remove_file(path);
+        })
+    }
+
+    fn begin(
+        path: &Path,
+        compression: Compression,
+        (mut claim, claimed, end): (Claim, Claimed, Position),
+    ) -> Result<Self, BagError> {
         claim.up_to(OF_FILE)?;
         let level = u32::from(compression == Compression::Zstd);
         let writer = mcap::WriteOptions::new()

@@ -8,8 +8,8 @@ use std::fs;
 use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 use tautline_bag::{
-    BagError, Compression, Definition, Event, FileReader, FileSummary, Finished, Options, Ordered, Stamp,
-    Topic, Writer, files_of, index_of, recover,
+    BagError, Compression, Definition, Event, FileReader, FileSummary, Finished, Hooks, Options, Ordered,
+    Stamp, Storage, Topic, Writer, convert, files_of, index_of, recover,
 };
 
 fn topic(name: &str) -> Topic {
@@ -213,6 +213,28 @@ fn what_was_cut_off_anywhere_is_recovered() {
             let yaml = fs::read_to_string(bag.join("metadata.yaml")).unwrap();
             assert!(yaml.contains(&format!("  message_count: {}\n", numbers.len())), "{yaml}");
         }
+    }
+}
+
+/// The last file of a recorder that was killed, or whose disk was full or lost its power, before the file's beginning was there.
+#[test]
+fn a_file_without_a_beginning_is_damage_and_costs_nothing_else() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, begin) in [("empty", &b""[..]), ("short", &b"\x89MCA"[..]), ("zeros", &[0; 5000][..])] {
+        let bag = folder.path().join(name);
+        write(&bag, Options::default(), 100);
+        fs::remove_file(bag.join("metadata.yaml")).unwrap();
+        fs::write(bag.join(format!("{name}_9.mcap")), begin).unwrap();
+        assert_eq!(Ordered::open(&bag, &mut |_| {}).unwrap().damage().count(), 1);
+        let (bags, new) = ([bag.clone()], folder.path().join(format!("{name}_new")));
+        let converted = convert(&bags, &new, Storage::Mcap, Options::default(), Hooks::default()).unwrap();
+        assert_eq!((converted.files[0].messages, converted.damage.len()), (100, 1));
+        let recovered = recover(&bag, &mut |_| {}).unwrap();
+        assert_eq!((recovered.len(), recovered[0].damage.len(), recovered[1].damage.len()), (2, 0, 1));
+        assert!(recovered[1].damage[0].what.contains("its beginning was never written"), "{recovered:?}");
+        assert_eq!(fs::read(recovered[1].before.as_ref().unwrap()).unwrap(), begin);
+        assert_eq!(all(&bag), (0..100).collect::<Vec<_>>());
+        assert!(recover(&bag, &mut |_| {}).unwrap().iter().all(|file| file.damage.is_empty()));
     }
 }
 
