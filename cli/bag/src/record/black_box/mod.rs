@@ -13,6 +13,7 @@ pub use dumper::{Dump, Dumped, Dumper, Plan};
 pub use tracing::Tracing;
 
 use super::{RecordArgs, failed, say};
+use dumper::LATCHED_BYTES;
 use serde_json::json;
 use std::io::Write;
 use std::path::Path;
@@ -43,6 +44,13 @@ pub fn print(args: &RecordArgs, folder: &Path, dumped: Outcome<Dumped>, lost: u6
         say(&format!(
             "taut: warning: --budget had room for {:.1} s only: a greater one keeps all of --black-box",
             short_ns as f64 / 1e9
+        ));
+    }
+    for (topic, messages) in &dumped.unlatched {
+        say(&format!(
+            "taut: warning: {topic}: {messages} messages that its publishers keep for late joiners were not kept: of a topic the black \
+             box keeps {} MiB of them",
+            LATCHED_BYTES >> 20
         ));
     }
     if let Some(error) = dumped.failed {
