@@ -253,12 +253,18 @@ impl Writer {
         self.number += 1;
         // The one that is begun is one of them.
         let keep = self.options.keep_files.map_or(usize::MAX, |keep| keep.get() as usize - 1);
-        while self.done.len() > keep {
-            let oldest = self.done.remove(0);
-            fs::remove_file(&oldest.path).map_err(BagError::write(&oldest.path))?;
-            self.removed += 1;
+        let oldest: Vec<_> = self.done.drain(..self.done.len().saturating_sub(keep)).collect();
+        // Before they go, so that it never names what is not there.
+        self.describe()?;
+        for FileSummary { path, .. } in oldest {
+            match fs::remove_file(&path) {
+                Ok(()) => self.removed += 1,
+                // Somebody moved it away.
+                Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
+                Err(error) => return Err(BagError::write(&path)(error)),
+            }
         }
-        self.describe()
+        Ok(())
     }
 
     /// What other programs look at first.

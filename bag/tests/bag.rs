@@ -124,7 +124,25 @@ fn files_are_split_and_the_oldest_goes() {
     }
 }
 
-/// As a process leaves it that was killed: no end, no index, the last record torn at any byte.
+/// Files that are moved away while it is written, for those who keep them, are not missed.
+#[test]
+fn a_file_that_somebody_moves_away_ends_no_recording() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let (split_ns, keep_files) = (Some(100_000_000), NonZeroU32::new(2));
+    let mut writer =
+        Writer::create(&bag, Options { split_ns, keep_files, ..Options::default() }, BTreeMap::new()).unwrap();
+    let id = writer.add_topic(topic("/even")).unwrap();
+    for n in 0..1000 {
+        writer.write(id, stamp(n), &body(n)).unwrap();
+        if n == 250 {
+            fs::rename(bag.join("bag_1.mcap"), folder.path().join("kept.mcap")).unwrap();
+        }
+    }
+    let finished = writer.finish(BTreeMap::new()).unwrap();
+    assert_eq!((finished.files.len(), finished.removed), (2, 7));
+}
+
 /// All messages in order; their numbers.
 fn in_order(bag: &Path, from_ns: u64) -> Vec<u64> {
     let mut ordered = Ordered::open(bag, &mut |_| {}).unwrap();
@@ -179,6 +197,7 @@ fn messages_come_in_the_order_of_their_reception() {
     }
 }
 
+/// As a process leaves it that was killed: no end, no index, the last record torn at any byte.
 #[test]
 fn what_was_cut_off_anywhere_is_recovered() {
     let folder = tempfile::tempdir().unwrap();
