@@ -338,6 +338,15 @@ fn what_is_lost_is_counted() {
     assert!(info.contains(&format!("lost {lost} messages")), "{info}");
 }
 
+#[test]
+fn what_is_lost_counts_where_nobody_reads_it() {
+    let place = Place::new(6);
+    let mut recorder = place.record(&["/never"]);
+    drop(recorder.0.stdout.take());
+    let (code, _, errors) = recorder.end();
+    assert!(code == 1 && errors.contains("did not come or could not be: /never"), "{code}: {errors}");
+}
+
 /// Also of the first publisher of a domain, which nobody knows before.
 #[test]
 fn what_came_before_the_recorder_found_it_is_counted() {

@@ -25,12 +25,10 @@ pub struct Statement<'a> {
 impl Statement<'_> {
     pub fn print(self) -> Outcome {
         let out = &mut taut_cli::print::stdout();
-        if self.args.common.json {
-            self.json(out)?;
-        } else {
-            self.table(out)?;
-        }
-        self.verdict()
+        let printed = if self.args.common.json { self.json(out) } else { self.table(out) };
+        // The verdict counts, also where nobody reads this.
+        self.verdict()?;
+        printed.map_err(Failure::from)
     }
 
     fn published(&self) -> u64 {
