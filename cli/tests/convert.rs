@@ -11,10 +11,12 @@ mod ros;
 use schemas::Checked;
 use serde_json::Value;
 use std::collections::BTreeMap;
+use std::ffi::OsStr;
 use std::fs;
+use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use tautline_bag::{Compression, Options, Stamp, Topic, Writer};
+use tautline_bag::{Compression, Options, Stamp, Topic, Writer, files_of};
 use tempfile::TempDir;
 
 struct Place(TempDir);
@@ -195,4 +197,19 @@ fn what_is_refused_leaves_nothing() {
         "{out}{errors}"
     );
     assert!(errors.contains("1 messages lose their time of publication and sequence number"), "{errors}");
+}
+
+#[test]
+fn a_path_that_is_no_utf_8_is_printed_as_json() {
+    let place = Place::new();
+    let bag = place.0.path().join(OsStr::from_bytes(b"b\xffg"));
+    Writer::create(&bag, Options::default(), BTreeMap::new()).unwrap().finish(BTreeMap::new()).unwrap();
+    let file = files_of(&bag).unwrap().remove(0);
+    let whole = fs::read(&file).unwrap();
+    fs::write(&file, &whole[..whole.len() - 10]).unwrap();
+    for verb in ["check", "recover"] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));
+        let output = command.args(["bag", verb, "--json"]).arg(&bag).env_remove("RUST_LOG").checked();
+        assert!(String::from_utf8_lossy(&output.stdout).contains("b\u{fffd}g"), "{verb}: {output:?}");
+    }
 }

@@ -236,7 +236,7 @@ fn check(bag: &Path, is_json: bool) -> Outcome {
     let sum = Sum::of(&files);
     if is_json {
         let mut report = sum.json(&files);
-        let place = |(path, damage): &(PathBuf, Damage)| json!({ "file": path, "offset": damage.offset, "what": damage.what });
+        let place = |(path, damage): &(PathBuf, Damage)| json!({ "file": path.display().to_string(), "offset": damage.offset, "what": damage.what });
         report["damage"] = damage.iter().map(place).collect();
         report["damages"] = json!(damages);
         report["has_metadata_yaml"] = json!(is_described);
@@ -266,7 +266,10 @@ fn mend(bag: &Path, is_json: bool) -> Outcome {
             let damage = file.damage.iter();
             let damage: Vec<_> =
                 damage.map(|damage| json!({ "offset": damage.offset, "what": damage.what })).collect();
-            json!({ "file": file.summary.path, "messages": file.summary.messages, "damage": damage, "before": file.before })
+            let before = file.before.as_ref().map(|before| before.display().to_string());
+            json!({
+                "file": file.summary.path.display().to_string(), "messages": file.summary.messages, "damage": damage, "before": before,
+            })
         };
         writeln!(out, "{}", files.iter().map(file).collect::<Value>())?;
         return Ok(());

@@ -295,7 +295,7 @@ fn print_json(args: &PlotArgs, start_ns: u64, lines: &[Line]) -> Outcome {
         })
     };
     let report = json!({
-        "bag": args.bag, "start_ns": start_ns, "series": lines.iter().map(series).collect::<Vec<_>>(),
+        "bag": args.bag.display().to_string(), "start_ns": start_ns, "series": lines.iter().map(series).collect::<Vec<_>>(),
     });
     Ok(writeln!(taut_cli::print::stdout(), "{report}")?)
 }

@@ -59,7 +59,7 @@ impl Statement<'_> {
             })
         };
         let report = json!({
-            "bag": self.args.bag, "published": self.published(), "rate": self.args.rate, "interrupted": self.is_interrupted,
+            "bag": self.args.bag.display().to_string(), "published": self.published(), "rate": self.args.rate, "interrupted": self.is_interrupted,
             "late_ms": self.played.late.to_json(), "timer_late_ms": self.played.timer.to_json(),
             "starved": self.played.starved, "refused": self.played.refused, "damaged_parts": self.fed.damaged,
             "topics": self.rows().into_iter().map(topic).collect::<Vec<_>>(), "unplayable_topics": self.unplayable,

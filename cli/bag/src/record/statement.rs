@@ -100,7 +100,7 @@ impl Statement {
         let out = &mut taut_cli::print::stdout();
         let printed = if is_json {
             let report = json!({
-                "bag": folder, "seconds": self.time.as_secs_f64(), "messages": messages, "bytes": bytes,
+                "bag": folder.display().to_string(), "seconds": self.time.as_secs_f64(), "messages": messages, "bytes": bytes,
                 "files": finished.files.iter().map(|file| file.name()).collect::<Vec<_>>(), "files_removed": finished.removed,
                 "lost": lost, "unwritten": unwritten, "absent": self.absent, "period_ns": self.period.as_nanos() as u64,
                 "longest_write_ns": stall.as_nanos() as u64, "budget_exhausted": self.waited,

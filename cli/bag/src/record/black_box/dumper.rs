@@ -74,8 +74,8 @@ impl Dump {
     pub fn json(&self) -> Value {
         let cause = |(kind, words): &(Kind, String)| json!({ "kind": kind.name(), "what": words });
         json!({
-            "bag": self.folder, "causes": self.causes.iter().map(cause).collect::<Vec<_>>(), "messages": self.messages,
-            "seconds": self.span_ns as f64 / 1e9, "trace_events": self.trace_events,
+            "bag": self.folder.display().to_string(), "causes": self.causes.iter().map(cause).collect::<Vec<_>>(),
+            "messages": self.messages, "seconds": self.span_ns as f64 / 1e9, "trace_events": self.trace_events,
         })
     }
 

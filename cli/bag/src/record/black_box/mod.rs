@@ -28,7 +28,7 @@ pub fn print(args: &RecordArgs, folder: &Path, dumped: Outcome<Dumped>, statemen
         let bags: Vec<_> = dumped.dumps.iter().map(Dump::json).collect();
         let shortest = dumped.shortest_ns;
         let report = json!({
-            "black_box": folder, "bags": bags, "lost": lost, "unusable": dumped.unusable, "removed": dumped.removed,
+            "black_box": folder.display().to_string(), "bags": bags, "lost": lost, "unusable": dumped.unusable, "removed": dumped.removed,
             "shortest_ns": shortest,
         });
         printed = writeln!(out, "{report}");
