@@ -368,7 +368,12 @@ impl Open {
     }
 
     pub(crate) fn write(&mut self, topic: TopicId, stamp: Stamp, cdr: &[u8]) -> Result<(), BagError> {
-        self.claim(cdr.len() as u64 + OF_MESSAGE, 0)?;
+        let bytes = cdr.len() as u64 + OF_MESSAGE;
+        // Longer chunks are not read.
+        if self.pending + bytes > MOST_BYTES as u64 {
+            self.hand_over()?;
+        }
+        self.claim(bytes, 0)?;
         let (channel_id, messages) = &mut self.channels[topic.0];
         let Stamp { sequence, log_ns: log_time, publish_ns: publish_time } = stamp;
         let header = MessageHeader { channel_id: *channel_id, sequence, log_time, publish_time };
