@@ -137,11 +137,14 @@ pub fn parts_of(path: &Path) -> Result<Parts, BagError> {
     Ok(parts)
 }
 
-/// The custom data of a folder's `metadata.yaml`; none if there is no such file, or it cannot be read.
-pub fn custom_data_of(folder: &Path) -> BTreeMap<String, String> {
+/// The custom data of a folder's `metadata.yaml`.
+///
+/// # Errors
+/// It cannot be read, or is not as rosbag2 writes it.
+pub fn custom_data_of(folder: &Path) -> Result<BTreeMap<String, String>, BagError> {
     let path = folder.join("metadata.yaml");
-    let information = File::open(&path).ok().and_then(|file| information(&path, file).ok());
-    information.and_then(|information| information.custom_data).unwrap_or_default()
+    let file = File::open(&path).map_err(BagError::read(&path))?;
+    Ok(information(&path, file)?.custom_data.unwrap_or_default())
 }
 
 fn information(described: &Path, file: File) -> Result<Information, BagError> {

@@ -257,6 +257,22 @@ fn a_file_without_a_beginning_is_damage_and_costs_nothing_else() {
     }
 }
 
+#[test]
+fn a_description_that_cannot_be_read_is_kept_beside_the_new_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    write(&bag, Options::default(), 10);
+    let read = |name: &str| fs::read_to_string(bag.join(name));
+    let unreadable = "rosbag2_bagfile_information: [";
+    fs::write(bag.join("metadata.yaml"), unreadable).unwrap();
+    for _ in 0..2 {
+        recover(&bag, &mut |_| {}).unwrap();
+        assert_eq!(read("metadata.yaml.damaged").unwrap(), unreadable);
+        assert!(read("metadata.yaml").unwrap().contains("  message_count: 10\n"));
+        assert!(read("metadata.yaml.damaged.1").is_err());
+    }
+}
+
 /// Numbers below what is asked for.
 fn random() -> impl FnMut(usize) -> usize {
     let mut random = tautline_seed::random();

@@ -213,3 +213,16 @@ fn a_path_that_is_no_utf_8_is_printed_as_json() {
         assert!(String::from_utf8_lossy(&output.stdout).contains("b\u{fffd}g"), "{verb}: {output:?}");
     }
 }
+
+#[test]
+fn a_description_that_cannot_be_read_is_no_whole_bag() {
+    let place = Place::new();
+    let writer = Writer::create(&place.path("bag"), Options::default(), BTreeMap::new()).unwrap();
+    writer.finish(BTreeMap::new()).unwrap();
+    assert_eq!(place.taut(&["bag", "check", "bag"]).0, 0);
+    fs::write(place.path("bag/metadata.yaml"), "rosbag2_bagfile_information: [").unwrap();
+    let (code, _, errors) = place.taut(&["bag", "check", "bag"]);
+    assert!(code == 1 && errors.contains("'bag/metadata.yaml' is not a bag: "), "{code}: {errors}");
+    assert_eq!(place.taut(&["bag", "recover", "bag"]).0, 0);
+    assert_eq!(place.taut(&["bag", "check", "bag"]).0, 0);
+}

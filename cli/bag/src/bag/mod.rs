@@ -18,8 +18,8 @@ use taut_cli::date::date;
 use taut_cli::table::write_table;
 use taut_cli::verb::{CommonArgs, Failure, Outcome, Verbs, time};
 use tautline_bag::{
-    BagError, CDR, Damage, Event, FileReader, FileSummary, Hooks, Options, Storage, Topic, files_of,
-    index_of, is_being_written, recover,
+    BagError, CDR, Damage, Event, FileReader, FileSummary, Hooks, Options, Storage, Topic, custom_data_of,
+    files_of, index_of, is_being_written, recover,
 };
 
 /// Shows, checks, repairs, cuts, merges, converts and draws bags
@@ -231,7 +231,7 @@ fn check(bag: &Path, is_json: bool) -> Outcome {
         files.push(reader.summary());
     }
     progress.end();
-    let is_described = !bag.is_dir() || bag.join("metadata.yaml").is_file();
+    let described = if bag.is_dir() { custom_data_of(bag).map(drop) } else { Ok(()) };
     let out = &mut taut_cli::print::stdout();
     let sum = Sum::of(&files);
     if is_json {
@@ -239,7 +239,7 @@ fn check(bag: &Path, is_json: bool) -> Outcome {
         let place = |(path, damage): &(PathBuf, Damage)| json!({ "file": path.display().to_string(), "offset": damage.offset, "what": damage.what });
         report["damage"] = damage.iter().map(place).collect();
         report["damages"] = json!(damages);
-        report["has_metadata_yaml"] = json!(is_described);
+        report["has_metadata_yaml"] = json!(described.is_ok());
         writeln!(out, "{report}")?;
     } else {
         for (path, Damage { offset, what }) in &damage {
@@ -249,9 +249,9 @@ fn check(bag: &Path, is_json: bool) -> Outcome {
     }
     let first = damage.first().map_or(bag, |(path, _)| path);
     let recover = advice(bag, first);
-    match (damages, is_described) {
-        (0, true) => Ok(()),
-        (0, false) => Err(Failure::no(format!("there is no metadata.yaml; {recover}, and writes it"))),
+    match (damages, described) {
+        (0, Ok(())) => Ok(()),
+        (0, Err(error)) => Err(Failure::no(format!("{error}; {recover}, and writes it"))),
         _ => Err(Failure::no(format!("damaged in {damages} places; {recover}"))),
     }
 }
