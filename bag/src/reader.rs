@@ -237,11 +237,6 @@ impl FileReader {
         let mut position = MAGIC.len() as u64;
         while !self.is_ended {
             let Some((kind, whole)) = self.whole(position)? else { return Ok(()) };
-            if kind == op::ATTACHMENT && whole > 2 * MOST_BYTES as u64 {
-                let reason =
-                    format!("an attachment of {whole} bytes is longer than {} bytes", 2 * MOST_BYTES);
-                return Err(BagError::Format { path: self.path.clone(), reason }.into());
-            }
             if !matches!(kind, op::MESSAGE_INDEX | op::CHUNK_INDEX) {
                 self.read_at(position, whole, visit)?;
             }
@@ -262,9 +257,10 @@ impl FileReader {
             match kind {
                 _ if position + whole > self.bytes => break,
                 op::CHUNK | op::MESSAGE if whole >= RECORD_HEAD + 24 && !self.is_ended => {
-                    let at = position + RECORD_HEAD;
-                    self.file.read_exact_at(&mut times, at).map_err(BagError::read(&self.path))?;
+                    let is_there = self.fill(&mut times, position + RECORD_HEAD)?;
                     let [start_ns, end_ns, bytes] = match kind {
+                        // Noted when the rest of it is read.
+                        _ if !is_there => [0, 0, whole],
                         op::CHUNK => [number(&times[..8]), number(&times[8..16]), number(&times[16..])],
                         // Channel and sequence number are before it.
                         _ => [number(&times[6..14]), number(&times[6..14]), whole],
@@ -302,14 +298,10 @@ impl FileReader {
         }
         let mut record = std::mem::take(&mut self.record);
         record.resize(whole as usize, 0);
-        match self.file.read_exact_at(&mut record, position) {
-            // A damaged sector.
-            Err(error) if error.raw_os_error() == Some(EIO) => {
-                self.note(position, "the disk cannot read it");
-                self.record = record;
-                return Ok(());
-            }
-            read => read.map_err(BagError::read(&self.path))?,
+        if !self.fill(&mut record, position)? {
+            self.note(position, "the disk cannot read it");
+            self.record = record;
+            return Ok(());
         }
         let done = self.record(record.first().copied().unwrap_or_default(), &record, position, visit);
         self.record = record;
@@ -321,8 +313,9 @@ impl FileReader {
         let head = self.head(position)?.map(|(kind, len)| (kind, RECORD_HEAD + len));
         let there = head.filter(|(_, whole)| position + whole <= self.bytes);
         if there.is_none() {
-            let what = match self.bytes {
-                0 => "nothing is in it: its beginning was never written",
+            let what = match head {
+                _ if self.bytes == 0 => "nothing is in it: its beginning was never written",
+                None if position + RECORD_HEAD <= self.bytes => "the disk cannot read it, so the rest is not found",
                 _ => "the file is cut off",
             };
             self.note(position.min(self.bytes), what);
@@ -354,13 +347,24 @@ impl FileReader {
         }
     }
 
-    /// Kind and length of the record that begins here; `None` behind the file's end.
+    /// Reads what is here; `false`: the disk cannot.
+    fn fill(&self, bytes: &mut [u8], position: u64) -> Result<bool, BagError> {
+        match self.file.read_exact_at(bytes, position) {
+            // A damaged sector.
+            Err(error) if error.raw_os_error() == Some(EIO) => Ok(false),
+            read => read.map(|()| true).map_err(BagError::read(&self.path)),
+        }
+    }
+
+    /// Kind and length of the record that begins here; `None` behind the file's end, or if the disk cannot read it.
     fn head(&self, position: u64) -> Result<Option<(u8, u64)>, BagError> {
         if position + RECORD_HEAD > self.bytes {
             return Ok(None);
         }
         let mut head = [0; RECORD_HEAD as usize];
-        self.file.read_exact_at(&mut head, position).map_err(BagError::read(&self.path))?;
+        if !self.fill(&mut head, position)? {
+            return Ok(None);
+        }
         let [kind, length @ ..] = head;
         Ok(Some((kind, u64::from_le_bytes(length).min(self.bytes))))
     }
@@ -383,11 +387,8 @@ impl FileReader {
     /// Whether the file ends here, behind the footer, as it should.
     fn ends(&self, position: u64) -> Result<bool, BagError> {
         let mut magic = [0; 8];
-        let is_there = position + 8 == self.bytes;
-        if is_there {
-            self.file.read_exact_at(&mut magic, position).map_err(BagError::read(&self.path))?;
-        }
-        Ok(magic == *MAGIC)
+        let is_there = position + 8 == self.bytes && self.fill(&mut magic, position)?;
+        Ok(is_there && magic == *MAGIC)
     }
 
     /// `record` is all of it, with kind and length.

@@ -6,6 +6,7 @@ use rustix::process::{Resource, Rlimit, setrlimit};
 use std::collections::BTreeMap;
 use std::fs;
 use std::num::NonZeroU32;
+use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use tautline_bag::{
     BagError, Compression, Definition, Event, FileReader, FileSummary, Finished, Hooks, Options, Ordered,
@@ -271,6 +272,24 @@ fn a_description_that_cannot_be_read_is_kept_beside_the_new_one() {
         assert!(read("metadata.yaml").unwrap().contains("  message_count: 10\n"));
         assert!(read("metadata.yaml.damaged.1").is_err());
     }
+}
+
+/// As any other record.
+#[test]
+fn an_attachment_of_an_impossible_length_costs_only_itself() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = write(&folder.path().join("bag"), Options::default(), 100).files.remove(0).path;
+    let whole = fs::read(&path).unwrap();
+    let (length, file) = (3_u64 << 30, fs::File::create(&path).unwrap());
+    // The attachment itself is a hole, which takes no room.
+    file.write_all_at(&whole[..8], 0).unwrap();
+    file.write_all_at(&[&[9][..], &length.to_le_bytes()].concat(), 8).unwrap();
+    file.write_all_at(&whole[8..], 8 + 9 + length).unwrap();
+    drop(file);
+    let recovered = recover(&path, &mut |_| {}).unwrap().remove(0);
+    assert_eq!((recovered.summary.messages, recovered.damage.len()), (100, 1));
+    assert!(recovered.damage[0].what.contains("is longer than any"), "{recovered:?}");
+    assert_eq!(read(&path).0, (0..100).collect::<Vec<_>>());
 }
 
 /// Numbers below what is asked for.
