@@ -54,6 +54,8 @@ pub struct Converted {
     pub files: Vec<FileSummary>,
     /// The damaged parts of the bags that were read; all undamaged parts were converted.
     pub damage: Vec<(PathBuf, Damage)>,
+    /// The total number of damaged parts; of each file the first hundred are listed.
+    pub damages: u64,
     /// Sentences about what could not be kept or was not as it should be.
     pub notes: Vec<String>,
 }
@@ -97,6 +99,7 @@ pub fn convert(
         type_hashes: BTreeMap::new(),
         metadata: BTreeSet::new(),
         damage: Vec::new(),
+        damages: 0,
         notes: Vec::new(),
         are_publishers_lost: false,
         unkept: 0,
@@ -241,6 +244,7 @@ struct Conversion<'h> {
     /// The records that are written: each file of a bag may have the same.
     metadata: BTreeSet<(String, BTreeMap<String, String>)>,
     damage: Vec<(PathBuf, Damage)>,
+    damages: u64,
     notes: Vec<String>,
     /// Topics had a channel for each publisher.
     are_publishers_lost: bool,
@@ -318,7 +322,8 @@ impl Conversion<'_> {
         for topic in reader.topics() {
             self.id(topic, None)?;
         }
-        let (some, _) = reader.damage();
+        let (some, all) = reader.damage();
+        self.damages += all;
         self.damage.extend(some.iter().map(|damage| (source.path.to_owned(), damage.clone())));
         Ok(())
     }
@@ -443,7 +448,7 @@ impl Conversion<'_> {
                 writer.finish(&custom_data)?
             }
         };
-        Ok(Converted { files, damage: self.damage, notes: self.notes })
+        Ok(Converted { files, damage: self.damage, damages: self.damages, notes: self.notes })
     }
 }
 

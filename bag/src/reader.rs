@@ -139,6 +139,8 @@ pub(crate) struct Extent {
     /// The earliest time of reception in it, by what the file says.
     pub(crate) start_ns: u64,
     pub(crate) end_ns: u64,
+    /// It was read, so its damage is counted.
+    pub(crate) is_read: bool,
 }
 
 /// Keys of a channel's metadata, as rosbag2 has them.
@@ -266,7 +268,8 @@ impl FileReader {
                         _ => [number(&times[6..14]), number(&times[6..14]), whole],
                     };
                     if bytes > 0 {
-                        extents.push(Extent { position, whole, start_ns, end_ns: end_ns.max(start_ns) });
+                        let (end_ns, is_read) = (end_ns.max(start_ns), false);
+                        extents.push(Extent { position, whole, start_ns, end_ns, is_read });
                     }
                 }
                 op::FOOTER => is_whole = self.ends(position + whole)?,
@@ -280,7 +283,10 @@ impl FileReader {
         // Channels are in the summary behind the data, or only where their messages are.
         if !self.is_ended || !is_whole || self.channels.is_empty() {
             self.is_ended = false;
+            self.damage.clear();
+            self.damages = 0;
             self.read(&mut |_| Ok::<_, BagError>(()))?;
+            extents.iter_mut().for_each(|extent| extent.is_read = true);
         }
         Ok(extents)
     }

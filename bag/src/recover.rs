@@ -21,6 +21,8 @@ pub struct Recovered {
     pub summary: FileSummary,
     /// The damage found; if empty, the file is unchanged.
     pub damage: Vec<Damage>,
+    /// The total number of damaged parts; the first hundred are listed.
+    pub damages: u64,
     /// The path of the original file, if it was damaged.
     pub before: Option<PathBuf>,
 }
@@ -99,9 +101,10 @@ fn recover_file(path: &Path) -> Result<Recovered, BagError> {
     let mut reader = FileReader::open(path)?;
     reader.read(&mut |_| Ok::<_, BagError>(()))?;
     let summary = reader.summary();
-    let damage = reader.damage().0.to_vec();
+    let (damage, damages) = reader.damage();
+    let damage = damage.to_vec();
     if damage.is_empty() {
-        return Ok(Recovered { summary, damage, before: None });
+        return Ok(Recovered { summary, damage, damages, before: None });
     }
     let unfinished = path.with_extension("mcap.recovering");
     // Of a recovery that was killed.
@@ -118,7 +121,7 @@ fn recover_file(path: &Path) -> Result<Recovered, BagError> {
     match written {
         Ok((summary, before)) => {
             let summary = FileSummary { path: path.to_owned(), ..summary };
-            Ok(Recovered { summary, damage, before: Some(before) })
+            Ok(Recovered { summary, damage, damages, before: Some(before) })
         }
         Err(error) => {
             let _ = fs::remove_file(&unfinished);

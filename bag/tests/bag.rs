@@ -274,6 +274,55 @@ fn a_description_that_cannot_be_read_is_kept_beside_the_new_one() {
     }
 }
 
+/// Changes a byte of each chunk of a file; how many there are.
+fn damage_chunks(path: &Path) -> u64 {
+    let mut bytes = fs::read(path).unwrap();
+    let (mut at, mut chunks) = (8, 0);
+    // Up to the end of the data.
+    while bytes[at] != 0x0f {
+        let next = at + 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
+        if bytes[at] == 0x06 {
+            bytes[next - 1] ^= 1;
+            chunks += 1;
+        }
+        at = next;
+    }
+    fs::write(path, bytes).unwrap();
+    chunks
+}
+
+/// Though not all of it is listed, with an index and without, however often a bag is read.
+#[test]
+fn all_damage_is_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut writer = Writer::create(&bag, Options::default(), BTreeMap::new()).unwrap();
+    let id = writer.add_topic(topic("/even")).unwrap();
+    for n in 0..300 {
+        writer.write(id, stamp(n), &body(n)).unwrap();
+        writer.flush().unwrap();
+    }
+    let path = writer.finish(BTreeMap::new()).unwrap().files.remove(0).path;
+    let chunks = damage_chunks(&path);
+    assert!(chunks >= 300, "{chunks}");
+    let whole = fs::read(&path).unwrap();
+    for cut in [0, 20] {
+        fs::write(&path, &whole[..whole.len() - cut]).unwrap();
+        let damages = chunks + u64::from(cut > 0);
+        let mut ordered = Ordered::open(&bag, &mut |_| {}).unwrap();
+        for _ in 0..2 {
+            ordered.rewind(0);
+            assert!(ordered.next_message().unwrap().is_none());
+            assert_eq!((ordered.damage().count(), ordered.damages()), (100, damages));
+        }
+        let (bags, new) = ([bag.clone()], folder.path().join(format!("new_{cut}")));
+        let converted = convert(&bags, &new, Storage::Mcap, Options::default(), Hooks::default()).unwrap();
+        assert_eq!((converted.damage.len(), converted.damages), (100, damages));
+        let recovered = recover(&path, &mut |_| {}).unwrap().remove(0);
+        assert_eq!((recovered.damage.len(), recovered.damages), (100, damages));
+    }
+}
+
 /// As any other record.
 #[test]
 fn an_attachment_of_an_impossible_length_costs_only_itself() {

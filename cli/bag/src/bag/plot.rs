@@ -162,7 +162,7 @@ pub fn run(args: &PlotArgs, is_json: bool) -> Outcome {
     }
     lines.iter().for_each(Line::warn);
     let damage: Vec<_> = bag.damage().map(|(path, damage)| (path.to_owned(), damage)).collect();
-    whole(&damage)
+    whole(&damage, bag.damages())
 }
 
 impl PlotArgs {
