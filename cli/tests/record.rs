@@ -348,6 +348,18 @@ fn what_is_lost_counts_where_nobody_reads_it() {
     assert!(code == 1 && errors.contains("did not come or could not be: /never"), "{code}: {errors}");
 }
 
+#[test]
+fn a_long_period_does_not_delay_the_end() {
+    let place = Place::new(97);
+    let publisher = place.publisher::<Count>("/seldom", Qos::default());
+    let recorder = place.record(&["/seldom", "--period", "1h"]);
+    place.wait_for_observer(publisher.gid());
+    publisher.publish(&Count { n: 1 }).unwrap();
+    let (code, out, errors) = recorder.end();
+    assert_eq!(code, 0, "{out}{errors}");
+    assert_eq!(numbers(&place.read()["/seldom"]), [1]);
+}
+
 /// At the limit of open files nothing new is found, which is said; what is there is recorded, and what is new when that has passed.
 #[test]
 fn a_refusal_of_the_system_that_passes_ends_no_recording() {

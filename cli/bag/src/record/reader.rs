@@ -20,6 +20,8 @@ use tautline_transport::{Gid, RawSample, RawSubscription, TakeError};
 const MOST_AT_ONCE: usize = 4096;
 /// The clock is read once for this number of topics without messages.
 const AT_A_TIME: usize = 32;
+/// The longest time before it is looked whether the recording ends.
+const LONGEST_SLEEP_NS: u64 = 100_000_000;
 /// How long the end of a recording waits for the disk.
 const PATIENCE_NS: u64 = 30_000_000_000;
 
@@ -147,13 +149,20 @@ impl Reader {
             }
             // Half of a core at most, however many topics there are.
             let now_ns = monotonic_ns();
-            next_ns = (next_ns + self.pace.period_ns).max(now_ns + (now_ns - looked_ns));
-            sleep_until_monotonic(next_ns);
+            next_ns = next_ns.saturating_add(self.pace.period_ns).max(now_ns + (now_ns - looked_ns));
+            self.sleep_until(next_ns);
         }
         self.drain(is_paused);
         let topics =
             self.places.into_iter().map(|place| Taken { lost: place.lost(), ..place.taken }).collect();
         Harvest { topics, waited: self.waited, began_ns: self.began_ns, ended_ns: monotonic_ns() }
+    }
+
+    /// A long period does not delay the end.
+    fn sleep_until(&self, ns: u64) {
+        while !self.stop.load(Ordering::Relaxed) && monotonic_ns() < ns {
+            sleep_until_monotonic(ns.min(monotonic_ns() + LONGEST_SLEEP_NS));
+        }
     }
 
     /// What was sent before the end is taken, as soon as there is room for it. What there is no room for is lost.
@@ -167,7 +176,7 @@ impl Reader {
             let waited = self.waited;
             let took = self.take_waiting(is_paused);
             if self.waited != waited {
-                sleep_until_monotonic(monotonic_ns() + self.pace.period_ns);
+                sleep_until_monotonic(monotonic_ns() + self.pace.period_ns.min(LONGEST_SLEEP_NS));
             } else if !took {
                 return;
             }
