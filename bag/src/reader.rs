@@ -321,7 +321,7 @@ impl FileReader {
         if there.is_none() {
             let what = match head {
                 _ if self.bytes == 0 => "nothing is in it: its beginning was never written",
-                None if position + RECORD_HEAD <= self.bytes => "the disk cannot read it, so the rest is not found",
+                None if position + RECORD_HEAD <= self.bytes => "the disk cannot read it, nor find the rest",
                 _ => "the file is cut off",
             };
             self.note(position.min(self.bytes), what);

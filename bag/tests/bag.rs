@@ -131,8 +131,8 @@ fn a_file_that_somebody_moves_away_ends_no_recording() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let (split_ns, keep_files) = (Some(100_000_000), NonZeroU32::new(2));
-    let mut writer =
-        Writer::create(&bag, Options { split_ns, keep_files, ..Options::default() }, BTreeMap::new()).unwrap();
+    let options = Options { split_ns, keep_files, ..Options::default() };
+    let mut writer = Writer::create(&bag, options, BTreeMap::new()).unwrap();
     let id = writer.add_topic(topic("/even")).unwrap();
     for n in 0..1000 {
         writer.write(id, stamp(n), &body(n)).unwrap();

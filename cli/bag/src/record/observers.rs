@@ -156,7 +156,9 @@ impl Observers {
         let graph = match self.participant.graph() {
             Err(error) if is_passing(&error) => {
                 if !std::mem::replace(&mut self.is_refused, true) {
-                    tell(&format!("warning: new topics are recorded only when the system permits it: {error}"));
+                    tell(&format!(
+                        "warning: new topics are recorded only when the system permits it: {error}"
+                    ));
                 }
                 return Ok(());
             }

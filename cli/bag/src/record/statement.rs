@@ -116,10 +116,8 @@ impl Statement {
             };
             let folder = folder.display();
             self.table(out).and_then(|()| {
-                write!(
-                    out,
-                    "{folder}: {messages} messages, {megabytes:.1} MB in {seconds:.1} s, {loss}\n{slow}"
-                )
+                writeln!(out, "{folder}: {messages} messages, {megabytes:.1} MB in {seconds:.1} s, {loss}")?;
+                write!(out, "{slow}")
             })
         };
         // What was lost counts, also where nobody reads this.

@@ -125,7 +125,9 @@ impl Alarms {
             // What was there at the last look serves until the next.
             Err(error) if is_passing(&error) => {
                 if !std::mem::replace(&mut self.is_refused, true) {
-                    say(&format!("taut: warning: deaths are noticed only when the system permits it: {error}"));
+                    say(&format!(
+                        "taut: warning: deaths are noticed only when the system permits it: {error}"
+                    ));
                 }
             }
             Err(error) => return Err(error.into()),
