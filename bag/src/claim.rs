@@ -65,7 +65,9 @@ pub fn create(
     // `recover` leaves it alone until this process has ended. File systems without locks have none.
     let _ = file.try_lock();
     let position = Position::default();
-    let (jobs, spare) = Disk::start(path, &file, piece_bytes, is_behind)?;
+    let (jobs, spare) = Disk::start(path, &file, piece_bytes, is_behind).inspect_err(|_| {
+        let _ = std::fs::remove_file(path);
+    })?;
     let claim = Claim { file, path: path.to_owned(), claimed: 0, is_impossible: false, jobs: jobs.clone() };
     let claimed = Claimed {
         piece: Piece::new(piece_bytes),

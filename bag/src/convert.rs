@@ -10,8 +10,10 @@ use crate::unpack::{Allowance, room, unpack_file};
 use crate::writer::{Options, TopicId, Writer};
 use crate::{BagError, CDR, Definition, PUBLISHER, Storage, Topic};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
-use std::fs;
+use std::fs::{self, File, TryLockError};
+use std::io::{self, ErrorKind};
 use std::ops::Range;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -52,6 +54,8 @@ pub struct Converted {
     pub files: Vec<FileSummary>,
     /// The damaged parts of the bags that were read; all undamaged parts were converted.
     pub damage: Vec<(PathBuf, Damage)>,
+    /// The total number of damaged parts; of each file the first hundred are listed.
+    pub damages: u64,
     /// Sentences about what could not be kept or was not as it should be.
     pub notes: Vec<String>,
 }
@@ -95,6 +99,7 @@ pub fn convert(
         type_hashes: BTreeMap::new(),
         metadata: BTreeSet::new(),
         damage: Vec::new(),
+        damages: 0,
         notes: Vec::new(),
         are_publishers_lost: false,
         unkept: 0,
@@ -114,24 +119,38 @@ pub fn convert(
 /// Where it is written, which is removed unless it is [kept](Self::keep).
 struct Work {
     folder: PathBuf,
+    /// The folder, locked as long as it is written.
+    _lock: File,
 }
 
 impl Work {
+    /// What others have locked stays; what a killed conversion has left is removed.
     fn create(to: &Path) -> Result<Self, BagError> {
         let parent = to.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
         fs::create_dir_all(parent).map_err(BagError::write(parent))?;
         let name = to.file_name().unwrap_or_default().to_string_lossy();
-        let folder = parent.join(format!(".{name}.{}.unfinished", std::process::id()));
-        fs::create_dir(&folder).map_err(BagError::write(&folder))?;
-        Ok(Work { folder })
+        for number in 0_u32.. {
+            let end = if number == 0 { String::new() } else { format!(".{number}") };
+            let folder = parent.join(format!(".{name}{end}.unfinished"));
+            remove_leftover(&folder);
+            match fs::create_dir(&folder).and_then(|()| locked(&folder)) {
+                Ok(Some(lock)) => return Ok(Work { folder, _lock: lock }),
+                Ok(None) => {}
+                Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
+                Err(error) => return Err(BagError::write(&folder)(error)),
+            }
+        }
+        Err(BagError::Exists(to.to_owned()))
     }
 
     /// It is what it was written for, if nothing came there meanwhile.
-    fn keep(self, to: &Path, files: Vec<FileSummary>) -> Result<Vec<FileSummary>, BagError> {
+    fn keep(mut self, to: &Path, files: Vec<FileSummary>) -> Result<Vec<FileSummary>, BagError> {
         rename_to_new(&self.folder, to).map_err(|source| match source.kind() {
-            std::io::ErrorKind::AlreadyExists => BagError::Exists(to.to_owned()),
+            ErrorKind::AlreadyExists => BagError::Exists(to.to_owned()),
             _ => BagError::Write { path: to.to_owned(), source },
         })?;
+        // What has the name now is another's.
+        self.folder = PathBuf::new();
         let moved = |file: FileSummary| FileSummary { path: to.join(file.name()), ..file };
         Ok(files.into_iter().map(moved).collect())
     }
@@ -139,9 +158,34 @@ impl Work {
 
 impl Drop for Work {
     fn drop(&mut self) {
-        // After `keep` there is nothing of this name.
         let _ = fs::remove_dir_all(&self.folder);
     }
+}
+
+/// The new folder, locked. `None`: another one took it for a leftover before it was.
+fn locked(folder: &Path) -> io::Result<Option<File>> {
+    let lock = match File::open(folder) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+        lock => lock?,
+    };
+    // Where there are no locks nobody removes it.
+    let is_own = !matches!(lock.try_lock(), Err(TryLockError::WouldBlock)) && is_named(&lock, folder);
+    Ok(is_own.then_some(lock))
+}
+
+/// Removes what is there unless it is locked, or is there only now, for its writer gave it another name.
+fn remove_leftover(folder: &Path) {
+    let flags = libc::O_DIRECTORY | libc::O_NOFOLLOW;
+    let lock = File::options().read(true).custom_flags(flags).open(folder);
+    if lock.is_ok_and(|lock| lock.try_lock().is_ok() && is_named(&lock, folder)) {
+        let _ = fs::remove_dir_all(folder);
+    }
+}
+
+fn is_named(file: &File, path: &Path) -> bool {
+    let [one, other] = [file.metadata(), fs::symlink_metadata(path)]
+        .map(|found| found.ok().map(|found| (found.dev(), found.ino())));
+    one.is_some() && one == other
 }
 
 enum Out {
@@ -200,6 +244,7 @@ struct Conversion<'h> {
     /// The records that are written: each file of a bag may have the same.
     metadata: BTreeSet<(String, BTreeMap<String, String>)>,
     damage: Vec<(PathBuf, Damage)>,
+    damages: u64,
     notes: Vec<String>,
     /// Topics had a channel for each publisher.
     are_publishers_lost: bool,
@@ -277,7 +322,8 @@ impl Conversion<'_> {
         for topic in reader.topics() {
             self.id(topic, None)?;
         }
-        let (some, _) = reader.damage();
+        let (some, all) = reader.damage();
+        self.damages += all;
         self.damage.extend(some.iter().map(|damage| (source.path.to_owned(), damage.clone())));
         Ok(())
     }
@@ -402,7 +448,7 @@ impl Conversion<'_> {
                 writer.finish(&custom_data)?
             }
         };
-        Ok(Converted { files, damage: self.damage, notes: self.notes })
+        Ok(Converted { files, damage: self.damage, damages: self.damages, notes: self.notes })
     }
 }
 

@@ -31,7 +31,7 @@ pub use convert::{Converted, Hooks, convert};
 pub use error::BagError;
 pub use index::{Metadata, index_of};
 pub use ordered::{Ordered, OwnedMessage};
-pub use parts::is_compressed;
+pub use parts::{custom_data_of, is_compressed};
 pub use qos::in_words;
 pub use reader::{Attachment, Damage, Event, FileReader, FileSummary, Message, files_of};
 pub use recover::{Recovered, is_being_written, recover};

@@ -6,7 +6,8 @@ use crate::reader::FileSummary;
 use crate::{BagError, Storage, Topic};
 use std::collections::BTreeMap;
 use std::fmt::Write;
-use std::fs;
+use std::fs::{self, File};
+use std::io;
 use std::path::Path;
 
 /// The properties of a bag that are not in its files.
@@ -33,9 +34,14 @@ pub fn write_metadata(
 ) -> Result<(), BagError> {
     let path = folder.join("metadata.yaml");
     let unfinished = folder.join("metadata.yaml.unfinished");
-    let written =
-        fs::write(&unfinished, text(description, files)).and_then(|()| fs::rename(&unfinished, &path));
-    written.map_err(|source| {
+    let write = || {
+        let mut file = File::create(&unfinished)?;
+        io::Write::write_all(&mut file, text(description, files).as_bytes())?;
+        // Without that, a crash of the machine may leave an empty one.
+        file.sync_all()?;
+        fs::rename(&unfinished, &path)
+    };
+    write().map_err(|source| {
         let _ = fs::remove_file(&unfinished);
         BagError::Write { path, source }
     })

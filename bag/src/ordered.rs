@@ -43,6 +43,7 @@ pub struct Ordered {
     waiting_bytes: usize,
     count: u64,
     damage: BTreeSet<(PathBuf, u64, String)>,
+    damages: u64,
 }
 
 struct Open {
@@ -70,6 +71,7 @@ impl Ordered {
             waiting_bytes: 0,
             count: 0,
             damage: BTreeSet::new(),
+            damages: 0,
         };
         for file in 0..bag.files.len() {
             tell(&bag.files[file]);
@@ -79,6 +81,7 @@ impl Ordered {
             }
             bag.extents.extend(extents.into_iter().map(|extent| (file, extent)));
             bag.note(file, &reader);
+            bag.damages += reader.damage().1;
             let is_kept = file < MOST_OPEN;
             bag.open.push(is_kept.then(|| Open { reader, numbers: HashMap::new() }));
         }
@@ -125,10 +128,16 @@ impl Ordered {
             }
             self.left -= 1;
             self.take_in(file, extent)?;
+            self.extents[self.left].1.is_read = true;
         }
         let next = self.waiting.pop().map(|Reverse((.., message))| message);
         self.waiting_bytes -= next.as_ref().map_or(0, |message| message.cdr.len());
         Ok(next)
+    }
+
+    /// The total number of damaged parts found so far, of which [`damage`](Self::damage) lists the first hundred of each file.
+    pub fn damages(&self) -> u64 {
+        self.damages
     }
 
     /// The damage found in the part read so far: the file, the position and the fault.
@@ -146,7 +155,8 @@ impl Ordered {
                 Open { reader: self.opened(file)?.0, numbers: HashMap::new() }
             }
         };
-        let Open { reader, numbers, .. } = &mut open;
+        let Open { reader, numbers } = &mut open;
+        let before = reader.damage().1;
         reader.read_at(extent.position, extent.whole, &mut |event| {
             if let Event::Message(message) = event {
                 let address = Arc::as_ptr(message.topic).addr();
@@ -165,6 +175,9 @@ impl Ordered {
             Ok::<_, BagError>(())
         })?;
         self.note(file, &open.reader);
+        if !extent.is_read {
+            self.damages += open.reader.damage().1 - before;
+        }
         self.open[file] = Some(open);
         if self.waiting_bytes > MOST_WAITING {
             let reason = format!(

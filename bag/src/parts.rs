@@ -83,7 +83,14 @@ pub fn is_compressed(message: &[u8]) -> bool {
     message.starts_with(&ZSTD_MAGIC)
 }
 
-/// The format of a file.
+/// Whether an MCAP file has no beginning: whoever wrote it was killed, or the disk was full or lost its power, before that was there.
+fn is_headless(path: &Path, begin: &[u8]) -> bool {
+    let begin = &begin[..begin.len().min(MAGIC.len())];
+    let is_short = begin.len() < MAGIC.len() && MAGIC.starts_with(begin);
+    path.extension().is_some_and(|end| end == "mcap") && (is_short || begin.iter().all(|byte| *byte == 0))
+}
+
+/// The format of a file; a `.mcap` file whose beginning was never written is MCAP, too.
 ///
 /// # Errors
 /// It cannot be read, or has none of these formats.
@@ -95,7 +102,7 @@ pub fn form_of(path: &Path) -> Result<Form, BagError> {
     }
     let mut begin = Vec::new();
     file.take(SQLITE_MAGIC.len() as u64).read_to_end(&mut begin).map_err(BagError::read(path))?;
-    if begin.starts_with(MAGIC) {
+    if begin.starts_with(MAGIC) || is_headless(path, &begin) {
         Ok(Form::Mcap)
     } else if begin.starts_with(SQLITE_MAGIC) {
         Ok(Form::Sqlite3)
@@ -130,11 +137,14 @@ pub fn parts_of(path: &Path) -> Result<Parts, BagError> {
     Ok(parts)
 }
 
-/// The custom data of a folder's `metadata.yaml`; none if there is no such file, or it cannot be read.
-pub fn custom_data_of(folder: &Path) -> BTreeMap<String, String> {
+/// The custom data of a folder's `metadata.yaml`.
+///
+/// # Errors
+/// It cannot be read, or is not as rosbag2 writes it.
+pub fn custom_data_of(folder: &Path) -> Result<BTreeMap<String, String>, BagError> {
     let path = folder.join("metadata.yaml");
-    let information = File::open(&path).ok().and_then(|file| information(&path, file).ok());
-    information.and_then(|information| information.custom_data).unwrap_or_default()
+    let file = File::open(&path).map_err(BagError::read(&path))?;
+    Ok(information(&path, file)?.custom_data.unwrap_or_default())
 }
 
 fn information(described: &Path, file: File) -> Result<Information, BagError> {

@@ -117,6 +117,7 @@ pub enum Event<'b> {
 pub struct FileReader {
     file: File,
     path: PathBuf,
+    /// Its length, or 0 if it has no beginning.
     bytes: u64,
     summary: FileSummary,
     damage: Vec<Damage>,
@@ -138,6 +139,8 @@ pub(crate) struct Extent {
     /// The earliest time of reception in it, by what the file says.
     pub(crate) start_ns: u64,
     pub(crate) end_ns: u64,
+    /// It was read, so its damage is counted.
+    pub(crate) is_read: bool,
 }
 
 /// Keys of a channel's metadata, as rosbag2 has them.
@@ -187,6 +190,8 @@ fn to_convert(what: &str, path: &Path) -> String {
 }
 
 impl FileReader {
+    /// A `.mcap` file whose beginning was never written is opened; all of it is damaged.
+    ///
     /// # Errors
     /// It cannot be opened, or does not begin as an MCAP file.
     pub fn open(path: &Path) -> Result<Self, BagError> {
@@ -196,16 +201,18 @@ impl FileReader {
         if !metadata.is_file() {
             return Err(no_bag("it is not a file"));
         }
-        let (path, bytes) = (path.to_owned(), metadata.len());
+        let (path, mut bytes) = (path.to_owned(), metadata.len());
+        let summary = FileSummary { path: path.clone(), bytes, ..FileSummary::default() };
         let mut magic = [0; 8];
         if bytes < 8 || file.read_exact_at(&mut magic, 0).is_err() || magic != *MAGIC {
-            return Err(match form_of(&path) {
-                Ok(Form::Sqlite3) => no_bag(&to_convert("it is a database of SQLite", &path)),
-                Ok(Form::Zstd) => no_bag(&to_convert("it is compressed as a whole", &path)),
-                _ => no_bag("it does not begin as an MCAP file"),
-            });
+            match form_of(&path) {
+                // Without its beginning nothing of it is found.
+                Ok(Form::Mcap) => bytes = 0,
+                Ok(Form::Sqlite3) => return Err(no_bag(&to_convert("it is a database of SQLite", &path))),
+                Ok(Form::Zstd) => return Err(no_bag(&to_convert("it is compressed as a whole", &path))),
+                Err(_) => return Err(no_bag("it does not begin as an MCAP file")),
+            }
         }
-        let summary = FileSummary { path: path.clone(), bytes, ..FileSummary::default() };
         Ok(FileReader {
             file,
             path,
@@ -232,11 +239,6 @@ impl FileReader {
         let mut position = MAGIC.len() as u64;
         while !self.is_ended {
             let Some((kind, whole)) = self.whole(position)? else { return Ok(()) };
-            if kind == op::ATTACHMENT && whole > 2 * MOST_BYTES as u64 {
-                let reason =
-                    format!("an attachment of {whole} bytes is longer than {} bytes", 2 * MOST_BYTES);
-                return Err(BagError::Format { path: self.path.clone(), reason }.into());
-            }
             if !matches!(kind, op::MESSAGE_INDEX | op::CHUNK_INDEX) {
                 self.read_at(position, whole, visit)?;
             }
@@ -257,15 +259,17 @@ impl FileReader {
             match kind {
                 _ if position + whole > self.bytes => break,
                 op::CHUNK | op::MESSAGE if whole >= RECORD_HEAD + 24 && !self.is_ended => {
-                    let at = position + RECORD_HEAD;
-                    self.file.read_exact_at(&mut times, at).map_err(BagError::read(&self.path))?;
+                    let is_there = self.fill(&mut times, position + RECORD_HEAD)?;
                     let [start_ns, end_ns, bytes] = match kind {
+                        // Noted when the rest of it is read.
+                        _ if !is_there => [0, 0, whole],
                         op::CHUNK => [number(&times[..8]), number(&times[8..16]), number(&times[16..])],
                         // Channel and sequence number are before it.
                         _ => [number(&times[6..14]), number(&times[6..14]), whole],
                     };
                     if bytes > 0 {
-                        extents.push(Extent { position, whole, start_ns, end_ns: end_ns.max(start_ns) });
+                        let (end_ns, is_read) = (end_ns.max(start_ns), false);
+                        extents.push(Extent { position, whole, start_ns, end_ns, is_read });
                     }
                 }
                 op::FOOTER => is_whole = self.ends(position + whole)?,
@@ -279,7 +283,10 @@ impl FileReader {
         // Channels are in the summary behind the data, or only where their messages are.
         if !self.is_ended || !is_whole || self.channels.is_empty() {
             self.is_ended = false;
+            self.damage.clear();
+            self.damages = 0;
             self.read(&mut |_| Ok::<_, BagError>(()))?;
+            extents.iter_mut().for_each(|extent| extent.is_read = true);
         }
         Ok(extents)
     }
@@ -297,14 +304,10 @@ impl FileReader {
         }
         let mut record = std::mem::take(&mut self.record);
         record.resize(whole as usize, 0);
-        match self.file.read_exact_at(&mut record, position) {
-            // A damaged sector.
-            Err(error) if error.raw_os_error() == Some(EIO) => {
-                self.note(position, "the disk cannot read it");
-                self.record = record;
-                return Ok(());
-            }
-            read => read.map_err(BagError::read(&self.path))?,
+        if !self.fill(&mut record, position)? {
+            self.note(position, "the disk cannot read it");
+            self.record = record;
+            return Ok(());
         }
         let done = self.record(record.first().copied().unwrap_or_default(), &record, position, visit);
         self.record = record;
@@ -316,7 +319,12 @@ impl FileReader {
         let head = self.head(position)?.map(|(kind, len)| (kind, RECORD_HEAD + len));
         let there = head.filter(|(_, whole)| position + whole <= self.bytes);
         if there.is_none() {
-            self.note(position, "the file is cut off");
+            let what = match head {
+                _ if self.bytes == 0 => "nothing is in it: its beginning was never written",
+                None if position + RECORD_HEAD <= self.bytes => "the disk cannot read it, nor find the rest",
+                _ => "the file is cut off",
+            };
+            self.note(position.min(self.bytes), what);
         }
         Ok(there)
     }
@@ -345,13 +353,24 @@ impl FileReader {
         }
     }
 
-    /// Kind and length of the record that begins here; `None` behind the file's end.
+    /// Reads what is here; `false`: the disk cannot.
+    fn fill(&self, bytes: &mut [u8], position: u64) -> Result<bool, BagError> {
+        match self.file.read_exact_at(bytes, position) {
+            // A damaged sector.
+            Err(error) if error.raw_os_error() == Some(EIO) => Ok(false),
+            read => read.map(|()| true).map_err(BagError::read(&self.path)),
+        }
+    }
+
+    /// Kind and length of the record that begins here; `None` behind the file's end, or if the disk cannot read it.
     fn head(&self, position: u64) -> Result<Option<(u8, u64)>, BagError> {
         if position + RECORD_HEAD > self.bytes {
             return Ok(None);
         }
         let mut head = [0; RECORD_HEAD as usize];
-        self.file.read_exact_at(&mut head, position).map_err(BagError::read(&self.path))?;
+        if !self.fill(&mut head, position)? {
+            return Ok(None);
+        }
         let [kind, length @ ..] = head;
         Ok(Some((kind, u64::from_le_bytes(length).min(self.bytes))))
     }
@@ -374,11 +393,8 @@ impl FileReader {
     /// Whether the file ends here, behind the footer, as it should.
     fn ends(&self, position: u64) -> Result<bool, BagError> {
         let mut magic = [0; 8];
-        let is_there = position + 8 == self.bytes;
-        if is_there {
-            self.file.read_exact_at(&mut magic, position).map_err(BagError::read(&self.path))?;
-        }
-        Ok(magic == *MAGIC)
+        let is_there = position + 8 == self.bytes && self.fill(&mut magic, position)?;
+        Ok(is_there && magic == *MAGIC)
     }
 
     /// `record` is all of it, with kind and length.

@@ -7,7 +7,7 @@ use crate::parts::custom_data_of;
 use crate::reader::{Event, FileReader, FileSummary, files_of};
 use crate::writer::{Open, TopicId};
 use crate::{BagError, Damage, Options, Topic};
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fs::{self, File, TryLockError};
 use std::io::{Error, ErrorKind};
 use std::os::fd::AsRawFd;
@@ -21,13 +21,15 @@ pub struct Recovered {
     pub summary: FileSummary,
     /// The damage found; if empty, the file is unchanged.
     pub damage: Vec<Damage>,
+    /// The total number of damaged parts; the first hundred are listed.
+    pub damages: u64,
     /// The path of the original file, if it was damaged.
     pub before: Option<PathBuf>,
 }
 
 /// Replaces each damaged file by a new one with all its undamaged messages, topics, attachments and metadata, and writes the folder's
 /// `metadata.yaml` again. The original file is kept next to it as `.damaged`, or `.damaged.1` and so on if that exists: other tools may
-/// be able to read more of it. `tell` is called with each file before it is read.
+/// be able to read more of it; so is a `metadata.yaml` that cannot be read. `tell` is called with each file before it is read.
 ///
 /// # Errors
 /// There is no bag; a file of it is being written or recovered by another process; a file cannot be read or written: then it is
@@ -43,7 +45,13 @@ pub fn recover(path: &Path, tell: &mut dyn FnMut(&Path)) -> Result<Vec<Recovered
     let files = files.iter().map(one).collect::<Result<Vec<_>, _>>()?;
     if path.is_dir() {
         let summaries: Vec<_> = files.iter().map(|file| file.summary.clone()).collect();
-        write_metadata(path, &Description::mcap(&custom_data_of(path)), &summaries)?;
+        let custom_data = match custom_data_of(path) {
+            Ok(custom_data) => custom_data,
+            Err(BagError::Read { source, .. }) if source.kind() == ErrorKind::NotFound => BTreeMap::new(),
+            // What is in it may be read by other means.
+            Err(_) => keep_original(&path.join("metadata.yaml")).map(|_| BTreeMap::new())?,
+        };
+        write_metadata(path, &Description::mcap(&custom_data), &summaries)?;
     }
     Ok(files)
 }
@@ -93,9 +101,10 @@ fn recover_file(path: &Path) -> Result<Recovered, BagError> {
     let mut reader = FileReader::open(path)?;
     reader.read(&mut |_| Ok::<_, BagError>(()))?;
     let summary = reader.summary();
-    let damage = reader.damage().0.to_vec();
+    let (damage, damages) = reader.damage();
+    let damage = damage.to_vec();
     if damage.is_empty() {
-        return Ok(Recovered { summary, damage, before: None });
+        return Ok(Recovered { summary, damage, damages, before: None });
     }
     let unfinished = path.with_extension("mcap.recovering");
     // Of a recovery that was killed.
@@ -112,7 +121,7 @@ fn recover_file(path: &Path) -> Result<Recovered, BagError> {
     match written {
         Ok((summary, before)) => {
             let summary = FileSummary { path: path.to_owned(), ..summary };
-            Ok(Recovered { summary, damage, before: Some(before) })
+            Ok(Recovered { summary, damage, damages, before: Some(before) })
         }
         Err(error) => {
             let _ = fs::remove_file(&unfinished);
@@ -124,8 +133,9 @@ fn recover_file(path: &Path) -> Result<Recovered, BagError> {
 /// The original file has another name, too, which nothing had. Whenever this process is killed, it is there.
 fn keep_original(path: &Path) -> Result<PathBuf, BagError> {
     for number in 0_u32.. {
-        let end = if number == 0 { String::new() } else { format!(".{number}") };
-        let before = path.with_extension(format!("mcap.damaged{end}"));
+        let mut before = path.as_os_str().to_owned();
+        before.push(if number == 0 { ".damaged".to_owned() } else { format!(".damaged.{number}") });
+        let before = PathBuf::from(before);
         // Without links, as on FAT, it is moved.
         let kept = fs::hard_link(path, &before).or_else(|error| match error.kind() {
             ErrorKind::AlreadyExists => Err(error),
@@ -137,7 +147,7 @@ fn keep_original(path: &Path) -> Result<PathBuf, BagError> {
             Err(error) => return Err(BagError::write(&before)(error)),
         }
     }
-    Err(BagError::Exists(path.with_extension("mcap.damaged")))
+    Err(BagError::Exists(path.to_owned()))
 }
 
 fn rewrite(path: &Path, to: &Path, summary: &FileSummary) -> Result<FileSummary, BagError> {

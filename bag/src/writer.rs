@@ -253,12 +253,18 @@ impl Writer {
         self.number += 1;
         // The one that is begun is one of them.
         let keep = self.options.keep_files.map_or(usize::MAX, |keep| keep.get() as usize - 1);
-        while self.done.len() > keep {
-            let oldest = self.done.remove(0);
-            fs::remove_file(&oldest.path).map_err(BagError::write(&oldest.path))?;
-            self.removed += 1;
+        let oldest: Vec<_> = self.done.drain(..self.done.len().saturating_sub(keep)).collect();
+        // Before they go, so that it never names what is not there.
+        self.describe()?;
+        for FileSummary { path, .. } in oldest {
+            match fs::remove_file(&path) {
+                Ok(()) => self.removed += 1,
+                // Somebody moved it away.
+                Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
+                Err(error) => return Err(BagError::write(&path)(error)),
+            }
         }
-        self.describe()
+        Ok(())
     }
 
     /// What other programs look at first.
@@ -274,7 +280,18 @@ impl Open {
         is_behind: Arc<AtomicBool>,
     ) -> Result<Self, BagError> {
         let Options { compression, memory_bytes, .. } = options;
-        let (mut claim, claimed, end) = create(path, memory_bytes.unwrap_or(MEMORY_BYTES) / 2, is_behind)?;
+        let new = create(path, memory_bytes.unwrap_or(MEMORY_BYTES) / 2, is_behind)?;
+        Self::begin(path, compression, new).inspect_err(|_| {
+            // Nothing is in it.
+            let _ = fs::remove_file(path);
+        })
+    }
+
+    fn begin(
+        path: &Path,
+        compression: Compression,
+        (mut claim, claimed, end): (Claim, Claimed, Position),
+    ) -> Result<Self, BagError> {
         claim.up_to(OF_FILE)?;
         let level = u32::from(compression == Compression::Zstd);
         let writer = mcap::WriteOptions::new()
@@ -351,7 +368,12 @@ impl Open {
     }
 
     pub(crate) fn write(&mut self, topic: TopicId, stamp: Stamp, cdr: &[u8]) -> Result<(), BagError> {
-        self.claim(cdr.len() as u64 + OF_MESSAGE, 0)?;
+        let bytes = cdr.len() as u64 + OF_MESSAGE;
+        // Longer chunks are not read.
+        if self.pending + bytes > MOST_BYTES as u64 {
+            self.hand_over()?;
+        }
+        self.claim(bytes, 0)?;
         let (channel_id, messages) = &mut self.channels[topic.0];
         let Stamp { sequence, log_ns: log_time, publish_ns: publish_time } = stamp;
         let header = MessageHeader { channel_id: *channel_id, sequence, log_time, publish_time };

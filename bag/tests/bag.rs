@@ -6,10 +6,11 @@ use rustix::process::{Resource, Rlimit, setrlimit};
 use std::collections::BTreeMap;
 use std::fs;
 use std::num::NonZeroU32;
+use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use tautline_bag::{
-    BagError, Compression, Definition, Event, FileReader, FileSummary, Finished, Options, Ordered, Stamp,
-    Topic, Writer, files_of, index_of, recover,
+    BagError, Compression, Definition, Event, FileReader, FileSummary, Finished, Hooks, Options, Ordered,
+    Stamp, Storage, Topic, Writer, convert, files_of, index_of, recover,
 };
 
 fn topic(name: &str) -> Topic {
@@ -124,7 +125,25 @@ fn files_are_split_and_the_oldest_goes() {
     }
 }
 
-/// As a process leaves it that was killed: no end, no index, the last record torn at any byte.
+/// Files that are moved away while it is written, for those who keep them, are not missed.
+#[test]
+fn a_file_that_somebody_moves_away_ends_no_recording() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let (split_ns, keep_files) = (Some(100_000_000), NonZeroU32::new(2));
+    let options = Options { split_ns, keep_files, ..Options::default() };
+    let mut writer = Writer::create(&bag, options, BTreeMap::new()).unwrap();
+    let id = writer.add_topic(topic("/even")).unwrap();
+    for n in 0..1000 {
+        writer.write(id, stamp(n), &body(n)).unwrap();
+        if n == 250 {
+            fs::rename(bag.join("bag_1.mcap"), folder.path().join("kept.mcap")).unwrap();
+        }
+    }
+    let finished = writer.finish(BTreeMap::new()).unwrap();
+    assert_eq!((finished.files.len(), finished.removed), (2, 7));
+}
+
 /// All messages in order; their numbers.
 fn in_order(bag: &Path, from_ns: u64) -> Vec<u64> {
     let mut ordered = Ordered::open(bag, &mut |_| {}).unwrap();
@@ -179,6 +198,7 @@ fn messages_come_in_the_order_of_their_reception() {
     }
 }
 
+/// As a process leaves it that was killed: no end, no index, the last record torn at any byte.
 #[test]
 fn what_was_cut_off_anywhere_is_recovered() {
     let folder = tempfile::tempdir().unwrap();
@@ -214,6 +234,111 @@ fn what_was_cut_off_anywhere_is_recovered() {
             assert!(yaml.contains(&format!("  message_count: {}\n", numbers.len())), "{yaml}");
         }
     }
+}
+
+/// The last file of a recorder that was killed, or whose disk was full or lost its power, before the file's beginning was there.
+#[test]
+fn a_file_without_a_beginning_is_damage_and_costs_nothing_else() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, begin) in [("empty", &b""[..]), ("short", &b"\x89MCA"[..]), ("zeros", &[0; 5000][..])] {
+        let bag = folder.path().join(name);
+        write(&bag, Options::default(), 100);
+        fs::remove_file(bag.join("metadata.yaml")).unwrap();
+        fs::write(bag.join(format!("{name}_9.mcap")), begin).unwrap();
+        assert_eq!(Ordered::open(&bag, &mut |_| {}).unwrap().damage().count(), 1);
+        let (bags, new) = ([bag.clone()], folder.path().join(format!("{name}_new")));
+        let converted = convert(&bags, &new, Storage::Mcap, Options::default(), Hooks::default()).unwrap();
+        assert_eq!((converted.files[0].messages, converted.damage.len()), (100, 1));
+        let recovered = recover(&bag, &mut |_| {}).unwrap();
+        assert_eq!((recovered.len(), recovered[0].damage.len(), recovered[1].damage.len()), (2, 0, 1));
+        assert!(recovered[1].damage[0].what.contains("its beginning was never written"), "{recovered:?}");
+        assert_eq!(fs::read(recovered[1].before.as_ref().unwrap()).unwrap(), begin);
+        assert_eq!(all(&bag), (0..100).collect::<Vec<_>>());
+        assert!(recover(&bag, &mut |_| {}).unwrap().iter().all(|file| file.damage.is_empty()));
+    }
+}
+
+#[test]
+fn a_description_that_cannot_be_read_is_kept_beside_the_new_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    write(&bag, Options::default(), 10);
+    let read = |name: &str| fs::read_to_string(bag.join(name));
+    let unreadable = "rosbag2_bagfile_information: [";
+    fs::write(bag.join("metadata.yaml"), unreadable).unwrap();
+    for _ in 0..2 {
+        recover(&bag, &mut |_| {}).unwrap();
+        assert_eq!(read("metadata.yaml.damaged").unwrap(), unreadable);
+        assert!(read("metadata.yaml").unwrap().contains("  message_count: 10\n"));
+        assert!(read("metadata.yaml.damaged.1").is_err());
+    }
+}
+
+/// Changes a byte of each chunk of a file; how many there are.
+fn damage_chunks(path: &Path) -> u64 {
+    let mut bytes = fs::read(path).unwrap();
+    let (mut at, mut chunks) = (8, 0);
+    // Up to the end of the data.
+    while bytes[at] != 0x0f {
+        let next = at + 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
+        if bytes[at] == 0x06 {
+            bytes[next - 1] ^= 1;
+            chunks += 1;
+        }
+        at = next;
+    }
+    fs::write(path, bytes).unwrap();
+    chunks
+}
+
+/// Though not all of it is listed, with an index and without, however often a bag is read.
+#[test]
+fn all_damage_is_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut writer = Writer::create(&bag, Options::default(), BTreeMap::new()).unwrap();
+    let id = writer.add_topic(topic("/even")).unwrap();
+    for n in 0..300 {
+        writer.write(id, stamp(n), &body(n)).unwrap();
+        writer.flush().unwrap();
+    }
+    let path = writer.finish(BTreeMap::new()).unwrap().files.remove(0).path;
+    let chunks = damage_chunks(&path);
+    assert!(chunks >= 300, "{chunks}");
+    let whole = fs::read(&path).unwrap();
+    for cut in [0, 20] {
+        fs::write(&path, &whole[..whole.len() - cut]).unwrap();
+        let damages = chunks + u64::from(cut > 0);
+        let mut ordered = Ordered::open(&bag, &mut |_| {}).unwrap();
+        for _ in 0..2 {
+            ordered.rewind(0);
+            assert!(ordered.next_message().unwrap().is_none());
+            assert_eq!((ordered.damage().count(), ordered.damages()), (100, damages));
+        }
+        let (bags, new) = ([bag.clone()], folder.path().join(format!("new_{cut}")));
+        let converted = convert(&bags, &new, Storage::Mcap, Options::default(), Hooks::default()).unwrap();
+        assert_eq!((converted.damage.len(), converted.damages), (100, damages));
+        let recovered = recover(&path, &mut |_| {}).unwrap().remove(0);
+        assert_eq!((recovered.damage.len(), recovered.damages), (100, damages));
+    }
+}
+
+/// As any other record.
+#[test]
+fn an_attachment_of_an_impossible_length_costs_only_itself() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = write(&folder.path().join("bag"), Options::default(), 100).files.remove(0).path;
+    let whole = fs::read(&path).unwrap();
+    let (length, file) = (3_u64 << 30, fs::File::create(&path).unwrap());
+    // The attachment itself is a hole, which takes no room.
+    file.write_all_at(&whole[..8], 0).unwrap();
+    file.write_all_at(&[&[9][..], &length.to_le_bytes()].concat(), 8).unwrap();
+    file.write_all_at(&whole[8..], 8 + 9 + length).unwrap();
+    drop(file);
+    let recovered = recover(&path, &mut |_| {}).unwrap().remove(0);
+    assert_eq!((recovered.summary.messages, recovered.damage.len()), (100, 1));
+    assert!(recovered.damage[0].what.contains("is longer than any"), "{recovered:?}");
+    assert_eq!(read(&path).0, (0..100).collect::<Vec<_>>());
 }
 
 /// Numbers below what is asked for.

@@ -407,6 +407,28 @@ fn what_is_beside_a_database_is_read() {
     }
 }
 
+/// In containers another process has the same number.
+#[test]
+fn what_a_killed_conversion_has_left_is_in_nobodys_way() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    write(&path("bag"), 10, |log_ns| log_ns);
+    let leftovers = [format!(".new.{}.unfinished", std::process::id()), ".new.unfinished".to_owned()];
+    for leftover in &leftovers {
+        fs::create_dir(path(leftover)).unwrap();
+        fs::write(path(leftover).join("new_0.mcap"), "some").unwrap();
+    }
+    to_mcap(&path("bag"), &path("new")).unwrap();
+    assert!(!path(".new.unfinished").exists());
+    // What another one writes just now is left alone.
+    let [first, second] = [".other.unfinished", ".other.1.unfinished"].map(path);
+    fs::create_dir(&first).unwrap();
+    let lock = fs::File::open(&first).unwrap();
+    lock.try_lock().unwrap();
+    to_mcap(&path("bag"), &path("other")).unwrap();
+    assert!(first.exists() && !second.exists());
+}
+
 #[test]
 fn an_interruption_leaves_nothing() {
     let folder = tempfile::tempdir().unwrap();

@@ -11,10 +11,12 @@ mod ros;
 use schemas::Checked;
 use serde_json::Value;
 use std::collections::BTreeMap;
+use std::ffi::OsStr;
 use std::fs;
+use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use tautline_bag::{Compression, Options, Stamp, Topic, Writer};
+use tautline_bag::{Compression, Options, Stamp, Topic, Writer, files_of, index_of};
 use tempfile::TempDir;
 
 struct Place(TempDir);
@@ -196,3 +198,77 @@ fn what_is_refused_leaves_nothing() {
     );
     assert!(errors.contains("1 messages lose their time of publication and sequence number"), "{errors}");
 }
+
+#[test]
+fn a_path_that_is_no_utf_8_is_printed_as_json() {
+    let place = Place::new();
+    let bag = place.0.path().join(OsStr::from_bytes(b"b\xffg"));
+    Writer::create(&bag, Options::default(), BTreeMap::new()).unwrap().finish(BTreeMap::new()).unwrap();
+    let file = files_of(&bag).unwrap().remove(0);
+    let whole = fs::read(&file).unwrap();
+    fs::write(&file, &whole[..whole.len() - 10]).unwrap();
+    for verb in ["check", "recover"] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));
+        let output = command.args(["bag", verb, "--json"]).arg(&bag).env_remove("RUST_LOG").checked();
+        assert!(String::from_utf8_lossy(&output.stdout).contains("b\u{fffd}g"), "{verb}: {output:?}");
+    }
+}
+
+#[test]
+fn a_description_that_cannot_be_read_is_no_whole_bag() {
+    let place = Place::new();
+    let writer = Writer::create(&place.path("bag"), Options::default(), BTreeMap::new()).unwrap();
+    writer.finish(BTreeMap::new()).unwrap();
+    assert_eq!(place.taut(&["bag", "check", "bag"]).0, 0);
+    fs::write(place.path("bag/metadata.yaml"), "rosbag2_bagfile_information: [").unwrap();
+    let (code, _, errors) = place.taut(&["bag", "check", "bag"]);
+    assert!(code == 1 && errors.contains("'bag/metadata.yaml' is not a bag: "), "{code}: {errors}");
+    assert_eq!(place.taut(&["bag", "recover", "bag"]).0, 0);
+    assert_eq!(place.taut(&["bag", "check", "bag"]).0, 0);
+}
+
+/// Also where it is the head of a record that the disk cannot read: what is in front of that is kept.
+#[test]
+fn what_is_before_a_bad_sector_is_recovered() {
+    let place = Place::new();
+    let [source, library] = ["bad.c", "bad.so"].map(|name| place.path(name));
+    fs::write(&source, BAD_SECTOR).unwrap();
+    let compiled =
+        Command::new("cc").args(["-shared", "-fPIC", "-O1", "-o"]).args([&library, &source]).status();
+    assert!(compiled.unwrap().success(), "cc is needed");
+    let mut writer = Writer::create(&place.path("bag"), Options::default(), BTreeMap::new()).unwrap();
+    let topic = Topic { name: "/a".into(), type_name: "std_msgs/msg/Empty".into(), ..Topic::default() };
+    let id = writer.add_topic(topic).unwrap();
+    for n in 0..500 {
+        writer.write(id, Stamp { sequence: n, log_ns: 9, publish_ns: 8 }, &[0, 1, 0, 0, 0]).unwrap();
+        writer.flush().unwrap();
+    }
+    writer.finish(BTreeMap::new()).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));
+    command.args(["bag", "recover", "bag"]).current_dir(place.0.path()).env("LD_PRELOAD", &library);
+    let output = command.output().unwrap();
+    let out = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success() && out.contains("the disk cannot read it"), "{output:?}");
+    let (summary, _) = index_of(&place.path("bag/bag_0.mcap")).unwrap().unwrap();
+    assert!((10..500).contains(&summary.messages), "{out}");
+}
+
+/// A sector of each longer file, longer than a chunk and its index.
+const BAD_SECTOR: &str = r#"
+#include <errno.h>
+#include <sys/stat.h>
+#include <sys/syscall.h>
+#include <sys/types.h>
+#include <unistd.h>
+ssize_t pread64(int fd, void *bytes, size_t length, off_t offset) {
+    struct stat file;
+    if (fstat(fd, &file) == 0 && file.st_size > 16384 && offset < 8704 && offset + (off_t)length > 8192) {
+        errno = EIO;
+        return -1;
+    }
+    return syscall(SYS_pread64, fd, bytes, length, offset);
+}
+ssize_t pread(int fd, void *bytes, size_t length, off_t offset) {
+    return pread64(fd, bytes, length, offset);
+}
+"#;

@@ -536,4 +536,9 @@ fn what_is_whole_of_a_damaged_bag_is_played() {
     assert_eq!(own.count(), 2);
     signal(&child, "-TERM");
     assert_eq!(ended(child.wait_with_output().unwrap()).0, 1, "it is damaged all the same");
+    // Also where nobody reads it.
+    let mut child = Place::begin(place.command(&["--paused"]));
+    drop(child.stdout.take());
+    signal(&child, "-TERM");
+    assert_eq!(child.wait().unwrap().code(), Some(1));
 }

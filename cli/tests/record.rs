@@ -10,6 +10,7 @@ mod support;
 
 use futures::StreamExt;
 use peer::{Peer, hex};
+use rustix::process::{Pid, Resource, Rlimit, getrlimit, prlimit};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader};
@@ -336,6 +337,55 @@ fn what_is_lost_is_counted() {
     assert!((990..=991).contains(&lost) && out.contains("LOST"), "{out}");
     let (_, info, _) = place.run(&["bag", "info", "bag"]);
     assert!(info.contains(&format!("lost {lost} messages")), "{info}");
+}
+
+#[test]
+fn what_is_lost_counts_where_nobody_reads_it() {
+    let place = Place::new(6);
+    let mut recorder = place.record(&["/never"]);
+    drop(recorder.0.stdout.take());
+    let (code, _, errors) = recorder.end();
+    assert!(code == 1 && errors.contains("did not come or could not be: /never"), "{code}: {errors}");
+}
+
+#[test]
+fn a_long_period_does_not_delay_the_end() {
+    let place = Place::new(97);
+    let publisher = place.publisher::<Count>("/seldom", Qos::default());
+    let recorder = place.record(&["/seldom", "--period", "1h"]);
+    place.wait_for_observer(publisher.gid());
+    publisher.publish(&Count { n: 1 }).unwrap();
+    let (code, out, errors) = recorder.end();
+    assert_eq!(code, 0, "{out}{errors}");
+    assert_eq!(numbers(&place.read()["/seldom"]), [1]);
+}
+
+/// At the limit of open files nothing new is found, which is said; what is there is recorded, and what is new when that has passed.
+#[test]
+fn a_refusal_of_the_system_that_passes_ends_no_recording() {
+    let place = Place::new(97);
+    let first = place.publisher::<Count>("/first", Qos::default());
+    let mut recorder = place.record(&["/first", "/late"]);
+    place.wait_for_observer(first.gid());
+    let pid = Some(Pid::from_child(&recorder.0));
+    let limit = |limit| prlimit(pid, Resource::Nofile, limit).unwrap();
+    let before = limit(Rlimit { current: Some(3), ..getrlimit(Resource::Nofile) });
+    let other = Participant::new(97).unwrap();
+    let late = other.create_publisher::<Count>("/late", Qos::default(), Limits::default()).unwrap();
+    let mut told = BufReader::with_capacity(1, recorder.0.stderr.as_mut().unwrap());
+    let mut line = String::new();
+    while !line.contains("only when the system permits it") {
+        line.clear();
+        assert!(told.read_line(&mut line).unwrap() > 0, "it ended");
+    }
+    first.publish(&Count { n: 1 }).unwrap();
+    limit(before);
+    place.wait_for_observer(late.gid());
+    late.publish(&Count { n: 2 }).unwrap();
+    let (code, out, errors) = recorder.end();
+    assert_eq!(code, 0, "{out}{errors}");
+    let topics = place.read();
+    assert_eq!((numbers(&topics["/first"]), numbers(&topics["/late"])), (vec![1], vec![2]));
 }
 
 /// Also of the first publisher of a domain, which nobody knows before.

@@ -85,14 +85,16 @@ pub fn write(
     converted.notes.iter().for_each(|note| say(&format!("taut: warning: {note}")));
     let out = &mut taut_cli::print::stdout();
     let sum = Sum::of(&converted.files);
-    if common.json {
+    let printed = if common.json {
         let mut report = sum.json(&converted.files);
         report["notes"] = json!(converted.notes);
-        writeln!(out, "{report}")?;
+        writeln!(out, "{report}")
     } else {
-        sum.write(&new.output, &converted.files, out)?;
-    }
-    whole(&converted.damage)
+        sum.write(&new.output, &converted.files, out)
+    };
+    // What is damaged counts, also where nobody reads this.
+    whole(&converted.damage, converted.damages)?;
+    printed.map_err(Failure::from)
 }
 
 /// The definition of a topic's type on this host, if a message of the bag does not contradict it.

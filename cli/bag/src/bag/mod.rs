@@ -18,8 +18,8 @@ use taut_cli::date::date;
 use taut_cli::table::write_table;
 use taut_cli::verb::{CommonArgs, Failure, Outcome, Verbs, time};
 use tautline_bag::{
-    BagError, CDR, Damage, Event, FileReader, FileSummary, Hooks, Options, Storage, Topic, files_of,
-    index_of, is_being_written, recover,
+    BagError, CDR, Damage, Event, FileReader, FileSummary, Hooks, Options, Storage, Topic, custom_data_of,
+    files_of, index_of, is_being_written, recover,
 };
 
 /// Shows, checks, repairs, cuts, merges, converts and draws bags
@@ -134,7 +134,7 @@ pub fn run(args: &Verbs<Verb>) -> Outcome {
 
 fn info(bag: &Path, is_json: bool) -> Outcome {
     let progress = Progress::new(is_json);
-    let (mut files, mut said, mut damaged) = (Vec::new(), Vec::new(), None);
+    let (mut files, mut said, mut damaged, mut damages) = (Vec::new(), Vec::new(), None, 0);
     for path in files_of(bag).map_err(failed)? {
         match index_of(&path).map_err(failed)? {
             Some((summary, metadata)) => {
@@ -154,6 +154,7 @@ fn info(bag: &Path, is_json: bool) -> Outcome {
                 });
                 read.map_err(failed)?;
                 files.push(reader.summary());
+                damages += reader.damage().1;
                 damaged = damaged.or(reader.damage().0.first().map(|damage| (path, damage.clone())));
             }
         }
@@ -200,8 +201,17 @@ fn info(bag: &Path, is_json: bool) -> Outcome {
     match damaged {
         None => Ok(()),
         Some((path, Damage { offset, what })) => {
-            Err(Failure::no(format!("{}: at byte {offset}: {what}; {}", path.display(), advice(bag, &path))))
+            let (advice, more) = (advice(bag, &path), more(damages));
+            Err(Failure::no(format!("{}: at byte {offset}: {what}{more}; {advice}", path.display())))
         }
+    }
+}
+
+/// Damaged parts besides the first.
+fn more(damages: u64) -> String {
+    match damages {
+        0 | 1 => String::new(),
+        _ => format!(", and {} more", damages - 1),
     }
 }
 
@@ -231,27 +241,28 @@ fn check(bag: &Path, is_json: bool) -> Outcome {
         files.push(reader.summary());
     }
     progress.end();
-    let is_described = !bag.is_dir() || bag.join("metadata.yaml").is_file();
+    let described = if bag.is_dir() { custom_data_of(bag).map(drop) } else { Ok(()) };
     let out = &mut taut_cli::print::stdout();
     let sum = Sum::of(&files);
-    if is_json {
+    let printed = if is_json {
         let mut report = sum.json(&files);
-        let place = |(path, damage): &(PathBuf, Damage)| json!({ "file": path, "offset": damage.offset, "what": damage.what });
+        let place = |(path, damage): &(PathBuf, Damage)| json!({ "file": path.display().to_string(), "offset": damage.offset, "what": damage.what });
         report["damage"] = damage.iter().map(place).collect();
         report["damages"] = json!(damages);
-        report["has_metadata_yaml"] = json!(is_described);
-        writeln!(out, "{report}")?;
+        report["has_metadata_yaml"] = json!(described.is_ok());
+        writeln!(out, "{report}")
     } else {
-        for (path, Damage { offset, what }) in &damage {
-            writeln!(out, "{}: at byte {offset}: {what}", path.display())?;
-        }
-        sum.write(bag, &files, out)?;
-    }
+        let listed = damage.iter().try_for_each(|(path, Damage { offset, what })| {
+            writeln!(out, "{}: at byte {offset}: {what}", path.display())
+        });
+        listed.and_then(|()| sum.write(bag, &files, out))
+    };
     let first = damage.first().map_or(bag, |(path, _)| path);
     let recover = advice(bag, first);
-    match (damages, is_described) {
-        (0, true) => Ok(()),
-        (0, false) => Err(Failure::no(format!("there is no metadata.yaml; {recover}, and writes it"))),
+    match (damages, described) {
+        // What is damaged counts, also where nobody reads this.
+        (0, Ok(())) => printed.map_err(Failure::from),
+        (0, Err(error)) => Err(Failure::no(format!("{error}; {recover}, and writes it"))),
         _ => Err(Failure::no(format!("damaged in {damages} places; {recover}"))),
     }
 }
@@ -266,7 +277,11 @@ fn mend(bag: &Path, is_json: bool) -> Outcome {
             let damage = file.damage.iter();
             let damage: Vec<_> =
                 damage.map(|damage| json!({ "offset": damage.offset, "what": damage.what })).collect();
-            json!({ "file": file.summary.path, "messages": file.summary.messages, "damage": damage, "before": file.before })
+            let before = file.before.as_ref().map(|before| before.display().to_string());
+            json!({
+                "file": file.summary.path.display().to_string(), "messages": file.summary.messages, "damage": damage,
+                "damages": file.damages, "before": before,
+            })
         };
         writeln!(out, "{}", files.iter().map(file).collect::<Value>())?;
         return Ok(());
@@ -276,7 +291,8 @@ fn mend(bag: &Path, is_json: bool) -> Outcome {
         match file.damage.first() {
             None => writeln!(out, "{path}: was whole, {messages} messages")?,
             Some(Damage { offset, what }) => {
-                writeln!(out, "{path}: {what}, at byte {offset}: {messages} messages kept")?;
+                let more = more(file.damages);
+                writeln!(out, "{path}: {what}, at byte {offset}{more}: {messages} messages kept")?;
                 if let Some(before) = &file.before {
                     writeln!(out, "  the original is kept as {}", before.display())?;
                 }
@@ -321,14 +337,11 @@ fn cut(args: &CutArgs, common: &CommonArgs) -> Outcome {
     convert::write(std::slice::from_ref(&args.bag), &args.new, Storage::Mcap, hooks, common)
 }
 
-/// Fails if there was damage.
-fn whole(damage: &[(PathBuf, Damage)]) -> Outcome {
-    match damage.first() {
-        None => Ok(()),
-        Some((path, Damage { offset, what })) => {
-            Err(Failure::no(format!("{}: at byte {offset}: {what}; what is whole was taken", path.display())))
-        }
-    }
+/// Fails if there was damage, of so many parts.
+fn whole(damage: &[(PathBuf, Damage)], damages: u64) -> Outcome {
+    let Some((path, Damage { offset, what })) = damage.first() else { return Ok(()) };
+    let (path, more) = (path.display(), more(damages));
+    Err(Failure::no(format!("{path}: at byte {offset}: {what}{more}; what is whole was taken")))
 }
 
 struct Sum {

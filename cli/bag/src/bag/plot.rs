@@ -162,7 +162,7 @@ pub fn run(args: &PlotArgs, is_json: bool) -> Outcome {
     }
     lines.iter().for_each(Line::warn);
     let damage: Vec<_> = bag.damage().map(|(path, damage)| (path.to_owned(), damage)).collect();
-    whole(&damage)
+    whole(&damage, bag.damages())
 }
 
 impl PlotArgs {
@@ -295,7 +295,7 @@ fn print_json(args: &PlotArgs, start_ns: u64, lines: &[Line]) -> Outcome {
         })
     };
     let report = json!({
-        "bag": args.bag, "start_ns": start_ns, "series": lines.iter().map(series).collect::<Vec<_>>(),
+        "bag": args.bag.display().to_string(), "start_ns": start_ns, "series": lines.iter().map(series).collect::<Vec<_>>(),
     });
     Ok(writeln!(taut_cli::print::stdout(), "{report}")?)
 }

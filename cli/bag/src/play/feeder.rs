@@ -65,7 +65,7 @@ pub struct Fed {
     /// The bag could not be read any further.
     pub failed: Option<BagError>,
     /// The number of damaged places in the bag, and a description of the first one.
-    pub damaged: usize,
+    pub damaged: u64,
     pub damage: Option<String>,
 }
 
@@ -130,7 +130,7 @@ impl Feeder {
         let first = self.bag.damage().next();
         let damage = first
             .map(|(path, damage)| format!("{}: at byte {}: {}", path.display(), damage.offset, damage.what));
-        Fed { unplayable, untold, failed, damaged: self.bag.damage().count(), damage }
+        Fed { unplayable, untold, failed, damaged: self.bag.damages(), damage }
     }
 
     /// Feeds the bag once, from a time of reception on, and returns the number of messages.

@@ -25,12 +25,10 @@ pub struct Statement<'a> {
 impl Statement<'_> {
     pub fn print(self) -> Outcome {
         let out = &mut taut_cli::print::stdout();
-        if self.args.common.json {
-            self.json(out)?;
-        } else {
-            self.table(out)?;
-        }
-        self.verdict()
+        let printed = if self.args.common.json { self.json(out) } else { self.table(out) };
+        // The verdict counts, also where nobody reads this.
+        self.verdict()?;
+        printed.map_err(Failure::from)
     }
 
     fn published(&self) -> u64 {
@@ -61,7 +59,7 @@ impl Statement<'_> {
             })
         };
         let report = json!({
-            "bag": self.args.bag, "published": self.published(), "rate": self.args.rate, "interrupted": self.is_interrupted,
+            "bag": self.args.bag.display().to_string(), "published": self.published(), "rate": self.args.rate, "interrupted": self.is_interrupted,
             "late_ms": self.played.late.to_json(), "timer_late_ms": self.played.timer.to_json(),
             "starved": self.played.starved, "refused": self.played.refused, "damaged_parts": self.fed.damaged,
             "topics": self.rows().into_iter().map(topic).collect::<Vec<_>>(), "unplayable_topics": self.unplayable,

@@ -273,10 +273,7 @@ pub fn run(args: &RecordArgs) -> Outcome {
         }
         Behind::Dumper(dumper, _) => {
             let dumped = dumper.finish();
-            if !args.common.json {
-                statement.table(&mut taut_cli::print::stdout())?;
-            }
-            black_box::print(args, &folder, dumped, statement.lost())
+            black_box::print(args, &folder, dumped, &statement)
         }
     }
 }

@@ -16,7 +16,7 @@ use tautline_bag::{Definition, Topic};
 use tautline_definitions::find_schema;
 use tautline_transport::{
     Durability, EndpointKind, Gid, GraphSnapshot, Limits, Participant, Qos, RawSubscription, ServiceEndpoint,
-    ServiceType, TopicEndpoint, TopicType,
+    ServiceType, TopicEndpoint, TopicType, TransportError,
 };
 
 /// The most messages of a queue for the recorder, which has at most [`QUEUE_BYTES`] unless the QoS requires more.
@@ -84,6 +84,8 @@ pub struct Observers {
     is_fetching: bool,
     throttle: Vec<(String, f64)>,
     epoch: Option<u32>,
+    /// The system refused a look, of which the user was warned.
+    is_refused: bool,
     /// The processes that have endpoints in the domain.
     processes: BTreeSet<u32>,
     topics: Vec<RecordedTopic>,
@@ -125,6 +127,7 @@ impl Observers {
             is_fetching: args.fetch,
             throttle: args.throttle.clone(),
             epoch: None,
+            is_refused: false,
             processes: BTreeSet::new(),
             topics: Vec::new(),
             numbers: HashMap::new(),
@@ -147,10 +150,21 @@ impl Observers {
     /// Looks whether there are topics that are new.
     pub fn look(&mut self, tell: impl Fn(&str)) -> Outcome {
         let epoch = Some(self.participant.graph_epoch());
-        if epoch == std::mem::replace(&mut self.epoch, epoch) {
+        if epoch == self.epoch {
             return Ok(());
         }
-        let graph = self.participant.graph()?;
+        let graph = match self.participant.graph() {
+            Err(error) if is_passing(&error) => {
+                if !std::mem::replace(&mut self.is_refused, true) {
+                    tell(&format!(
+                        "warning: new topics are recorded only when the system permits it: {error}"
+                    ));
+                }
+                return Ok(());
+            }
+            graph => graph?,
+        };
+        self.epoch = epoch;
         let of_topics = graph.endpoints.iter().filter_map(|end| end.pid);
         self.processes = of_topics.chain(graph.services.iter().filter_map(|end| end.pid)).collect();
         self.processes.remove(&std::process::id());
@@ -245,7 +259,13 @@ impl Observers {
 
     /// The recorder goes on after a pause: it gets again what publishers keep for late joiners.
     pub fn renew(&self, tell: impl Fn(&str)) -> Outcome {
-        let graph = self.participant.graph()?;
+        let graph = match self.participant.graph() {
+            Err(error) if is_passing(&error) => {
+                tell(&format!("warning: what publishers keep for late joiners is not recorded: {error}"));
+                return Ok(());
+            }
+            graph => graph?,
+        };
         let keeps = |topic: &RecordedTopic| {
             graph.endpoints.iter().any(|end| {
                 end.kind == EndpointKind::Publisher
@@ -348,6 +368,11 @@ impl Observers {
         let absent = named.chain(&self.refused).cloned().collect::<BTreeSet<_>>();
         (self.topics, self.before, absent.into_iter().collect())
     }
+}
+
+/// Whether the next look may succeed: the system refused this one, at its limit of open files for one.
+pub fn is_passing(error: &TransportError) -> bool {
+    matches!(error, TransportError::File { source, .. } if source.raw_os_error().is_some())
 }
 
 fn publishers<'e>(ends: &'e [&'e TopicEndpoint]) -> impl Iterator<Item = &'e TopicEndpoint> {

@@ -20,6 +20,8 @@ use tautline_transport::{Gid, RawSample, RawSubscription, TakeError};
 const MOST_AT_ONCE: usize = 4096;
 /// The clock is read once for this number of topics without messages.
 const AT_A_TIME: usize = 32;
+/// The longest time before it is looked whether the recording ends.
+const LONGEST_SLEEP_NS: u64 = 100_000_000;
 /// How long the end of a recording waits for the disk.
 const PATIENCE_NS: u64 = 30_000_000_000;
 
@@ -147,13 +149,20 @@ impl Reader {
             }
             // Half of a core at most, however many topics there are.
             let now_ns = monotonic_ns();
-            next_ns = (next_ns + self.pace.period_ns).max(now_ns + (now_ns - looked_ns));
-            sleep_until_monotonic(next_ns);
+            next_ns = next_ns.saturating_add(self.pace.period_ns).max(now_ns + (now_ns - looked_ns));
+            self.sleep_until(next_ns);
         }
         self.drain(is_paused);
         let topics =
             self.places.into_iter().map(|place| Taken { lost: place.lost(), ..place.taken }).collect();
         Harvest { topics, waited: self.waited, began_ns: self.began_ns, ended_ns: monotonic_ns() }
+    }
+
+    /// A long period does not delay the end.
+    fn sleep_until(&self, ns: u64) {
+        while !self.stop.load(Ordering::Relaxed) && monotonic_ns() < ns {
+            sleep_until_monotonic(ns.min(monotonic_ns() + LONGEST_SLEEP_NS));
+        }
     }
 
     /// What was sent before the end is taken, as soon as there is room for it. What there is no room for is lost.
@@ -167,7 +176,7 @@ impl Reader {
             let waited = self.waited;
             let took = self.take_waiting(is_paused);
             if self.waited != waited {
-                sleep_until_monotonic(monotonic_ns() + self.pace.period_ns);
+                sleep_until_monotonic(monotonic_ns() + self.pace.period_ns.min(LONGEST_SLEEP_NS));
             } else if !took {
                 return;
             }
@@ -229,9 +238,11 @@ impl Reader {
             }
             now_ns = monotonic_ns();
             for _ in 0..MOST_AT_ONCE {
+                // What waited for room was wanted.
+                let is_wanted = place.held.is_some();
                 let Some(sample) = place.next(until_ns) else { break };
                 took = true;
-                if !place.wants(&sample, is_paused) {
+                if !is_wanted && !place.wants(&sample, is_paused) {
                     continue;
                 }
                 let (front, front_bytes) = place.part.front(&sample.info());
@@ -379,5 +390,40 @@ impl Place {
         port.last = sample.port_sequence_number();
         port.in_second += 1;
         port.peak = port.peak.max(port.in_second);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rtrb::RingBuffer;
+    use std::sync::mpsc::channel;
+    use tautline_transport::{Limits, Participant, Qos, TopicType};
+
+    #[test]
+    fn a_throttled_message_that_waited_for_room_is_kept() {
+        let participant = Participant::new(97).unwrap();
+        let topic_type = TopicType::new("demo_msgs/msg/Bytes");
+        let (qos, limits) = (Qos::keep_last(4), Limits { held: 1, ..Limits::default() });
+        let publisher = participant.create_raw_publisher("/thinned", &topic_type, qos, limits).unwrap();
+        let subscription = participant.create_observer("/thinned", &topic_type, 4, limits).unwrap();
+        let (to_reader, new_observers) = channel();
+        let (part, throttle_ns) = (Part::Message, Some(1_000_000_000_000_000));
+        let counts = Arc::default();
+        let observer = Observer { number: 0, part, subscription, throttle_ns, counts, is_renewed: false };
+        assert!(to_reader.send(observer).is_ok());
+        let (mut producer, mut consumer) = RingBuffer::<u8>::new(1 << 16);
+        producer.push_entire_slice(&[0; 1 << 16]).unwrap();
+        let pace = Pace { period_ns: 1_000_000, is_paused: Arc::default() };
+        let mut reader = Reader::new(producer, new_observers, pace, Arc::default());
+        reader.admit();
+        publisher.publish(&[1; 64]).unwrap();
+        assert!(reader.take_waiting(false));
+        assert_eq!((reader.waited, reader.places[0].taken.messages), (1, 0), "the ring is full");
+        consumer.read_chunk(1 << 16).unwrap().commit_all();
+        publisher.publish(&[2; 64]).unwrap();
+        assert!(reader.take_waiting(false));
+        let taken = &reader.places[0].taken;
+        assert_eq!((taken.messages, taken.throttled), (1, 1));
     }
 }

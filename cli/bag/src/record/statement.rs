@@ -90,42 +90,38 @@ impl Statement {
     }
 
     pub fn print(&self, folder: &Path, written: Outcome<Written>, is_json: bool) -> Outcome {
-        let written = written?;
-        let finished = written.finished.map_err(failed)?;
+        let Written { finished, failed: stopped, messages, stall } = written?;
+        let finished = finished.map_err(failed)?;
         let taken: u64 = self.rows.iter().map(|row| row.taken.messages).sum();
         // Of what was taken, the disk had no room for.
-        let unwritten = taken - written.messages;
+        let unwritten = taken - messages;
         let lost = self.lost() + unwritten;
         let bytes: u64 = finished.files.iter().map(|file| file.bytes).sum();
         let out = &mut taut_cli::print::stdout();
-        if is_json {
+        let printed = if is_json {
             let report = json!({
-                "bag": folder, "seconds": self.time.as_secs_f64(), "messages": written.messages, "bytes": bytes,
+                "bag": folder.display().to_string(), "seconds": self.time.as_secs_f64(), "messages": messages, "bytes": bytes,
                 "files": finished.files.iter().map(|file| file.name()).collect::<Vec<_>>(), "files_removed": finished.removed,
                 "lost": lost, "unwritten": unwritten, "absent": self.absent, "period_ns": self.period.as_nanos() as u64,
-                "longest_write_ns": written.stall.as_nanos() as u64, "budget_exhausted": self.waited,
+                "longest_write_ns": stall.as_nanos() as u64, "budget_exhausted": self.waited,
                 "topics": self.rows.iter().map(Row::json).collect::<Vec<_>>(),
             });
-            writeln!(out, "{report}")?;
+            writeln!(out, "{report}")
         } else {
-            self.table(out)?;
             let (seconds, megabytes) = (self.time.as_secs_f64(), bytes as f64 / 1e6);
             let loss = if lost == 0 { "nothing lost".to_owned() } else { format!("{lost} LOST") };
-            writeln!(
-                out,
-                "{}: {} messages, {megabytes:.1} MB in {seconds:.1} s, {loss}",
-                folder.display(),
-                written.messages
-            )?;
-            if self.waited > 0 {
-                writeln!(
-                    out,
-                    "the disk was slower than the topics: --budget had no room {} times",
-                    self.waited
-                )?;
-            }
-        }
-        if let Some(error) = written.failed {
+            let slow = match self.waited {
+                0 => String::new(),
+                times => format!("the disk was slower than the topics: --budget had no room {times} times\n"),
+            };
+            let folder = folder.display();
+            self.table(out).and_then(|()| {
+                writeln!(out, "{folder}: {messages} messages, {megabytes:.1} MB in {seconds:.1} s, {loss}")?;
+                write!(out, "{slow}")
+            })
+        };
+        // What was lost counts, also where nobody reads this.
+        if let Some(error) = stopped {
             let recover = match error {
                 BagError::Full { .. } => String::new(),
                 _ => format!("; `taut bag recover {}` makes a bag of what was written", folder.display()),
@@ -143,7 +139,7 @@ impl Statement {
                 "{lost} messages are missing; a greater --depth survives longer stalls, a greater --budget slower disks"
             )));
         }
-        Ok(())
+        printed.map_err(Failure::from)
     }
 
     /// What became of each topic.

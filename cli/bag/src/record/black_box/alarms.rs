@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Decides when the black box is written: a deadline is missed, a process dies, a topic falls silent, or the user requests it.
 
-use super::super::observers::Observers;
+use super::super::observers::{Observers, is_passing};
+use super::say;
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -12,7 +13,7 @@ use taut_cli::verb::Outcome;
 use tautline_executor::ForeignStatistics;
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
 use tautline_system::shared_statistics;
-use tautline_transport::{EndpointKind, Visitor};
+use tautline_transport::{EndpointKind, GraphSnapshot, Visitor};
 
 /// The interval at which statistics are read.
 const STATISTICS_NS: u64 = 100_000_000;
@@ -59,6 +60,9 @@ pub struct Alarms {
     rest_ns: u64,
     said: HashMap<String, u64>,
     visitor: Visitor,
+    graph: Arc<GraphSnapshot>,
+    /// The system refused a look, of which the user was warned.
+    is_refused: bool,
     asked: Arc<AtomicBool>,
     processes: Vec<ForeignStatistics>,
     /// When each process that has ended did so.
@@ -93,6 +97,8 @@ impl Alarms {
             rest_ns: nanoseconds(rest),
             said: HashMap::new(),
             visitor: Visitor::new(domain)?,
+            graph: Arc::default(),
+            is_refused: false,
             asked,
             processes: Vec::new(),
             ended: HashMap::new(),
@@ -114,7 +120,19 @@ impl Alarms {
         if self.asked.swap(false, Ordering::Relaxed) && self.watches(Kind::Request) {
             found.push((Kind::Request, String::new(), "it was asked for".to_owned()));
         }
-        let graph = self.visitor.graph()?;
+        match self.visitor.graph() {
+            Ok(graph) => self.graph = graph,
+            // What was there at the last look serves until the next.
+            Err(error) if is_passing(&error) => {
+                if !std::mem::replace(&mut self.is_refused, true) {
+                    say(&format!(
+                        "taut: warning: deaths are noticed only when the system permits it: {error}"
+                    ));
+                }
+            }
+            Err(error) => return Err(error.into()),
+        }
+        let graph = self.graph.clone();
         for death in self.visitor.take_deaths() {
             let nodes: Vec<_> = death.nodes.iter().map(ToString::to_string).collect();
             let of = if nodes.is_empty() { String::new() } else { format!(" ({})", nodes.join(", ")) };

@@ -27,7 +27,7 @@ const PERIOD: Duration = Duration::from_millis(2);
 /// One part in this number of the ring stays free for new messages.
 const FREE_PART: usize = 8;
 /// The most memory for the messages that a topic keeps for late joiners.
-const LATCHED_BYTES: usize = 64 << 20;
+pub const LATCHED_BYTES: usize = 64 << 20;
 
 /// What the black box keeps, and where it is written.
 pub struct Plan {
@@ -53,6 +53,8 @@ pub struct Dumped {
     pub removed: usize,
     /// Requests whose bytes are not a request of their service.
     pub unusable: u64,
+    /// Messages that publishers of these topics keep for late joiners, and for which there was no room.
+    pub unlatched: BTreeMap<String, u64>,
     /// The shortest time for which there was room, if it was less than requested.
     pub shortest_ns: Option<u64>,
     pub failed: Option<BagError>,
@@ -72,8 +74,8 @@ impl Dump {
     pub fn json(&self) -> Value {
         let cause = |(kind, words): &(Kind, String)| json!({ "kind": kind.name(), "what": words });
         json!({
-            "bag": self.folder, "causes": self.causes.iter().map(cause).collect::<Vec<_>>(), "messages": self.messages,
-            "seconds": self.span_ns as f64 / 1e9, "trace_events": self.trace_events,
+            "bag": self.folder.display().to_string(), "causes": self.causes.iter().map(cause).collect::<Vec<_>>(),
+            "messages": self.messages, "seconds": self.span_ns as f64 / 1e9, "trace_events": self.trace_events,
         })
     }
 
@@ -102,16 +104,7 @@ impl Dumper {
         is_over: Arc<AtomicBool>,
     ) -> Outcome<Self> {
         let (alarms, new_observers) = channel();
-        let work = Work {
-            plan,
-            consumer,
-            channels: Channels::new(announced),
-            latched: Vec::new(),
-            tracing,
-            number: 0,
-            scratch: Vec::new(),
-            done: Dumped { dumps: Vec::new(), removed: 0, unusable: 0, shortest_ns: None, failed: None },
-        };
+        let work = Work::new(plan, consumer, announced, tracing);
         let thread = ThreadBuilder::new("dumper").policy(Policy::Other { nice: 0 });
         let thread = thread.spawn(move || move || work.run(&new_observers, &is_over))?;
         Ok(Dumper { alarms, thread })
@@ -169,6 +162,32 @@ struct Pending {
 }
 
 impl Work {
+    fn new(
+        plan: Plan,
+        consumer: Consumer<u8>,
+        announced: Receiver<Announced>,
+        tracing: Option<Tracing>,
+    ) -> Self {
+        let unlatched = BTreeMap::new();
+        Work {
+            plan,
+            consumer,
+            channels: Channels::new(announced),
+            latched: Vec::new(),
+            tracing,
+            number: 0,
+            scratch: Vec::new(),
+            done: Dumped {
+                dumps: Vec::new(),
+                removed: 0,
+                unusable: 0,
+                unlatched,
+                shortest_ns: None,
+                failed: None,
+            },
+        }
+    }
+
     fn run(mut self, alarms: &Receiver<Alarm>, is_over: &AtomicBool) -> Dumped {
         let mut pending: Option<Pending> = None;
         loop {
@@ -265,10 +284,15 @@ impl Work {
         let members: Vec<_> = (0..self.latched.len()).filter(of_topic).collect();
         let mut bytes: usize = members.iter().map(|at| self.latched[*at].bytes).sum();
         while bytes > LATCHED_BYTES {
-            let since =
-                |at: &&usize| self.latched[**at].messages.front().map_or(u64::MAX, |(head, _)| head.log_ns);
-            let Some(oldest) = members.iter().min_by_key(since) else { return };
+            // The message that came stays, however long it is. What is its publisher's last goes after what is not.
+            let may_go = |at: &&usize| self.latched[**at].messages.len() > usize::from(**at == channel);
+            let rank = |at: &&usize| {
+                let messages = &self.latched[**at].messages;
+                (messages.len() == 1, messages.front().map_or(u64::MAX, |(head, _)| head.log_ns))
+            };
+            let Some(oldest) = members.iter().filter(may_go).min_by_key(rank) else { return };
             bytes -= self.latched[*oldest].pop();
+            *self.done.unlatched.entry(topic.clone()).or_default() += 1;
         }
     }
 
@@ -351,5 +375,47 @@ impl Work {
                 Ok(false)
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rtrb::RingBuffer;
+    use tautline_bag::Topic;
+    use tautline_transport::{Gid, Qos};
+
+    #[test]
+    fn what_came_last_for_late_joiners_stays_however_long_it_is() {
+        let (to_channels, announced) = channel();
+        let [one, other] = [1, 2].map(|n| Gid([n; 16]));
+        to_channels.send(Announced::Topic(Topic { name: "/map".into(), ..Topic::default() })).unwrap();
+        for gid in [one, other] {
+            let qos = Qos::keep_last(2).transient_local();
+            to_channels.send(Announced::Publisher { number: 0, gid, qos }).unwrap();
+        }
+        let plan = Plan {
+            folder: PathBuf::new(),
+            options: Options::default(),
+            session: BTreeMap::new(),
+            span_ns: 0,
+            after_ns: 0,
+            most_bags: None,
+            offset_ns: 0,
+        };
+        let mut work = Work::new(plan, RingBuffer::new(1).1, announced, None);
+        let mut kept = |publisher, log_ns, bytes| {
+            work.scratch = vec![0; bytes];
+            let head =
+                Head { topic: 0, cdr_bytes: bytes as u32, sequence: 0, log_ns, publish_ns: 0, publisher };
+            work.latch(head);
+            let kept = work.latched.iter().flat_map(|latched| &latched.messages);
+            let kept: Vec<_> = kept.map(|(head, _)| head.log_ns).collect();
+            (kept, work.done.unlatched.get("/map").copied().unwrap_or(0))
+        };
+        assert_eq!(kept(one, 1, 10), (vec![1], 0));
+        assert_eq!(kept(one, 2, LATCHED_BYTES), (vec![2], 1));
+        assert_eq!(kept(one, 3, LATCHED_BYTES + 1), (vec![3], 2));
+        assert_eq!(kept(other, 4, 10), (vec![4], 3));
     }
 }

@@ -12,44 +12,54 @@ pub use alarms::{Alarms, Kind};
 pub use dumper::{Dump, Dumped, Dumper, Plan};
 pub use tracing::Tracing;
 
-use super::{RecordArgs, failed, say};
+use super::{RecordArgs, Statement, failed, say};
+use dumper::LATCHED_BYTES;
 use serde_json::json;
 use std::io::Write;
 use std::path::Path;
 use taut_cli::verb::{Failure, Outcome};
 
 /// Prints the result of a black box.
-pub fn print(args: &RecordArgs, folder: &Path, dumped: Outcome<Dumped>, lost: u64) -> Outcome {
-    let dumped = dumped?;
+pub fn print(args: &RecordArgs, folder: &Path, dumped: Outcome<Dumped>, statement: &Statement) -> Outcome {
     let out = &mut taut_cli::print::stdout();
+    let mut printed = if args.common.json { Ok(()) } else { statement.table(out) };
+    let (dumped, lost) = (dumped?, statement.lost());
     if args.common.json {
         let bags: Vec<_> = dumped.dumps.iter().map(Dump::json).collect();
         let shortest = dumped.shortest_ns;
         let report = json!({
-            "black_box": folder, "bags": bags, "lost": lost, "unusable": dumped.unusable, "removed": dumped.removed,
+            "black_box": folder.display().to_string(), "bags": bags, "lost": lost, "unusable": dumped.unusable, "removed": dumped.removed,
             "shortest_ns": shortest,
         });
-        writeln!(out, "{report}")?;
+        printed = writeln!(out, "{report}");
     } else {
         let count = dumped.dumps.len();
         let bags = if count == 1 { "bag" } else { "bags" };
         let loss = if lost == 0 { "nothing lost".to_owned() } else { format!("{lost} LOST") };
-        writeln!(out, "{}: {count} {bags}, {loss}", folder.display())?;
+        printed = printed.and_then(|()| writeln!(out, "{}: {count} {bags}, {loss}", folder.display()));
         for dump in &dumped.dumps {
-            writeln!(out, "  {}", dump.line())?;
+            printed = printed.and_then(|()| writeln!(out, "  {}", dump.line()));
         }
     }
+    // The verdict counts, also where nobody reads this.
     if let Some(short_ns) = dumped.shortest_ns {
         say(&format!(
             "taut: warning: --budget had room for {:.1} s only: a greater one keeps all of --black-box",
             short_ns as f64 / 1e9
         ));
     }
+    for (topic, messages) in &dumped.unlatched {
+        say(&format!(
+            "taut: warning: {topic}: {messages} messages that its publishers keep for late joiners were not kept: of a topic the black \
+             box keeps {} MiB of them",
+            LATCHED_BYTES >> 20
+        ));
+    }
     if let Some(error) = dumped.failed {
         return Err(failed(error));
     }
     match lost + dumped.unusable {
-        0 => Ok(()),
+        0 => printed.map_err(Failure::from),
         missing => Err(Failure::no(format!(
             "{missing} messages are missing; a greater --depth survives longer stalls, a greater --budget slower disks"
         ))),
