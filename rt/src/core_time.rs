@@ -216,7 +216,10 @@ mod tests {
             let after = account.mark();
             let (wall_ns, waited_ns) = (after.from_ns - before.to_ns, after.waited_ns - before.waited_ns);
             // The clocks of an emulated machine differ by a hundredth.
-            (wall_ns - 200_000_000 + wall_ns / 50, waited_ns + before.taken_until(&after).expect("it has not slept"))
+            (
+                wall_ns - 200_000_000 + wall_ns / 50,
+                waited_ns + before.taken_until(&after).expect("it has not slept"),
+            )
         };
         let measured = spawn("measured", Box::new(measure));
         let (beyond_ns, explained_ns) = measured.join().unwrap();

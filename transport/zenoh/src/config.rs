@@ -170,8 +170,8 @@ impl SessionConfig {
     /// Whether other hosts that reach this one may connect without a certificate, and use topics without a rule that lets them.
     pub fn is_unguarded(&self) -> bool {
         let is = |key: &str, value: &str| self.zenoh.get_json(key).is_ok_and(|text| text == value);
-        let denies = is("access_control/enabled", "true")
-            && is("access_control/default_permission", "\"deny\"");
+        let denies =
+            is("access_control/enabled", "true") && is("access_control/default_permission", "\"deny\"");
         let asks = is("transport/link/tls/enable_mtls", "true");
         let is_guarded = |endpoint: &String| is_loopback(endpoint) || asks_certificate(endpoint, asks);
         !(denies || self.listen.iter().all(is_guarded))
