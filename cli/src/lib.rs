@@ -32,7 +32,7 @@ mod msg;
 mod node;
 mod param;
 pub mod rates;
-mod replace;
+pub mod replace;
 pub mod report;
 mod service;
 pub mod sibling;

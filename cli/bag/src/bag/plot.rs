@@ -143,7 +143,7 @@ pub fn run(args: &PlotArgs, is_json: bool) -> Outcome {
         match &args.output {
             None => taut_cli::print::stdout().write_all(svg.as_bytes())?,
             Some(path) => {
-                let written = std::fs::write(path, svg);
+                let written = taut_cli::replace::write(path, svg);
                 written.map_err(|error| {
                     Failure::unusable(format!("'{}' cannot be written: {error}", path.display()))
                 })?;
