@@ -74,7 +74,7 @@ fn json_is_the_contract() {
     assert_eq!(json["schedulable"], true);
     assert_eq!(
         keys(&json["callbacks"][0]),
-        "capacity core deadline_ms name period_ms priority response_ms response_overhead_ms wake_up wcet_ms"
+        "capacity core deadline_ms host name period_ms priority response_ms response_overhead_ms wake_up wcet_ms"
     );
     let wake_ups = ["sampler", "publisher"].map(|by| {
         let callbacks = json["callbacks"].as_array().unwrap().iter();

@@ -64,9 +64,6 @@ impl HandlerState {
     }
 }
 
-/// The thread is looked at again after so long at the earliest: while it waits, its budget stays as it is, and each look costs.
-pub(crate) const LEAST_LOOK_NS: u64 = 50_000;
-
 thread_local! {
     // Without a destructor, and made before the first signal can come: a handler may use it.
     static STATE: HandlerState = const {
@@ -528,7 +525,7 @@ extern "C" fn fired(_: libc::c_int) {
             left_ns => {
                 // What this handler has used is not the job's.
                 state.end_ns.store(thread_cpu_ns().saturating_add(left_ns), Ordering::Relaxed);
-                set(state, left_ns.max(LEAST_LOOK_NS));
+                set(state, left_ns.max(enforcer::LEAST_LOOK_NS));
             }
         }
     });

@@ -15,12 +15,13 @@
 
 use std::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, AtomicU64, Ordering};
 
-use crate::budget::LEAST_LOOK_NS;
 use crate::clock::{monotonic_ns, thread_cpu_ns_of};
 use crate::futex::kernel::FutexWord;
 use crate::{CoreSet, Policy, RtError, ThreadBuilder};
 
 const NEVER: u64 = u64::MAX;
+/// A thread is looked at again after so long at the earliest: while it waits, its budget stays as it is, and each look costs.
+pub(crate) const LEAST_LOOK_NS: u64 = 50_000;
 
 /// The alarm of one thread. It is never freed: a thread that no longer needs it gives it to another.
 #[derive(Debug)]

@@ -192,7 +192,7 @@ pub fn test(steps: &mut Steps, has_rmw: bool) {
     pages::test(steps, &dist.out);
 }
 
-/// What there is for each ROS 2, of the chosen one, after [`test`] of another one.
+/// What there is for each ROS 2, of the chosen one, after [`test()`] of another one.
 pub fn test_rmw(steps: &mut Steps, has_rmw: bool) {
     let dist = Dist::new(Build::Tests);
     let mut parts = vec![Part::RmwWheel, Part::RmwDeb];
