@@ -61,17 +61,22 @@ fn is_to_wait(error: &ServiceError) -> bool {
 impl Asking {
     /// Sends waiting requests in order, as far as servers have room.
     fn flush(&mut self) -> Result {
-        while let Some((number, body)) = self.unsent.front() {
-            let mut loan = self.raw.loan(body.len())?;
-            loan.copy_from_slice(body);
-            match self.raw.send(*number, loan) {
-                Ok(()) => {}
-                Err(unsent) if is_to_wait(&unsent.error) => return Ok(()),
-                Err(unsent) => return Err(unsent.error.into()),
-            }
-            self.unsent.pop_front();
-        }
+        while self.flush_one()? {}
         Ok(())
+    }
+
+    /// Sends the first waiting request, if there is one and a server has room. Returns whether it did.
+    fn flush_one(&mut self) -> Result<bool> {
+        let Some((number, body)) = self.unsent.front() else { return Ok(false) };
+        let mut loan = self.raw.loan(body.len())?;
+        loan.copy_from_slice(body);
+        match self.raw.send(*number, loan) {
+            Ok(()) => {}
+            Err(unsent) if is_to_wait(&unsent.error) => return Ok(false),
+            Err(unsent) => return Err(unsent.error.into()),
+        }
+        self.unsent.pop_front();
+        Ok(true)
     }
 
     /// Sends or queues a request of at most `len_bytes`, written by `write`. Returns its sequence number.
@@ -118,10 +123,14 @@ async fn serve(end: Weak<ReceivingEndpoint<Asking>>, watchers: Arc<Watchers>, li
     let mut servers = 0;
     poll_fn(|context| {
         let Some(end) = end.upgrade() else { return Poll::Ready(()) };
-        let (flushed, found) = end.with(|asking| {
+        let (mut flushed, found) = end.with(|asking| {
             asking.raw.wake_once(context.waker());
-            (asking.flush(), asking.raw.server_count())
+            (asking.flush_one(), asking.raw.server_count())
         });
+        // Another thread waits for one of them, not for all.
+        while let Ok(true) = flushed {
+            flushed = end.with(Asking::flush_one);
+        }
         listeners.notify();
         if let Err(error) = flushed {
             tracing::warn!("a request was not sent, retrying: {error:?}");
