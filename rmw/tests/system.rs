@@ -1080,3 +1080,66 @@ fn a_timers_time_is_not_that_of_the_next_callback() {
     assert!(used_ms < 100.0, "{report}");
     assert_eq!(report["unknown"], json!([]), "changes of parameters are in no file: {report}");
 }
+
+/// Prints each thread of a process that had a priority before it began, and whether it has one.
+const FIFO: &str = r#"
+import os, rclpy
+os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(5))
+rclpy.init()
+node = rclpy.create_node("fifo")
+for thread in os.listdir("/proc/self/task"):
+    name = open(f"/proc/self/task/{thread}/comm").read().strip()
+    print(name, os.sched_getscheduler(int(thread)) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO)
+rclpy.shutdown()
+"#;
+
+#[test]
+fn threads_that_only_help_are_ordinary_whoever_starts_them() {
+    let Some(domain) = Domain::new(120).filter(|_| may_be_realtime()) else { return };
+    let (is_good, out, errors) = words_of(&mut domain.python(FIFO));
+    assert!(is_good && out.contains(" True"), "{out}{errors}");
+    for thread in ["rmw_helper False", "rmw_log False"] {
+        assert!(out.contains(thread), "{out}");
+    }
+}
+
+/// Nodes under a system file, one of a child that the first one's thread has forked off.
+const FORKED: &str = r#"
+import os, rclpy
+from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import String
+def governed(name):
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node(name, context=context)
+    subscription = node.create_subscription(String, "/" + name, lambda message: None, 1)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    executor.spin_once(timeout_sec=0)
+    is_fifo = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
+    print(name, is_fifo, os.sched_getparam(0).sched_priority, flush=True)
+    return context, node, subscription, executor
+first = governed("one")
+child = os.fork()
+if child == 0:
+    second = governed("two")
+    os._exit(0)
+os.waitpid(child, 0)
+rclpy.shutdown(context=first[0])
+"#;
+
+#[test]
+fn a_thread_of_a_forked_child_is_governed_anew() {
+    let Some(domain) = Domain::new(121).filter(|_| may_be_realtime()) else { return };
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let callback = |name: &str, priority: u32| {
+        format!(
+            "[nodes.{name}]\nclient = \"rclpy\"\n[callbacks.{name}]\ntopic = \"/{name}\"\nwcet = \"1ms\"\npriority = {priority}\n\
+             overrun = \"demote\"\n[topics.\"/{name}\"]\nperiod = \"1s\"\n"
+        )
+    };
+    let head = "[hosts.here]\ncores = 1\nsampler_priority = 90\n[overheads]\nrclpy = \"1ms\"\n";
+    std::fs::write(file.path(), [head, &callback("one", 40), &callback("two", 30)].concat()).unwrap();
+    let (is_good, out, errors) = words_of(domain.python(FORKED).env("TAUT_SYSTEM", file.path()));
+    assert!(is_good && out == "one True 40\ntwo True 30\n", "{out}{errors}");
+}
