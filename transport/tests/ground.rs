@@ -422,14 +422,7 @@ fn faults() -> i64 {
 const MESSAGE_BYTES: usize = 50_000;
 const DEPTH: usize = 7;
 const HELD: usize = 5;
-const LIMITS: Limits = Limits {
-    held: HELD,
-    loans: 2,
-    message_bytes: MESSAGE_BYTES,
-    may_grow: true,
-    claim: Claim::Ahead,
-    spare_bytes: 0,
-};
+const LIMITS: Limits = Limits { held: HELD, loans: 2, message_bytes: MESSAGE_BYTES, ..support::LIMITS };
 
 fn no_faults(domain: u32) {
     let text = TopicType::new(TEXT);
