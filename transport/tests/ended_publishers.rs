@@ -4,8 +4,10 @@
 mod support;
 
 use std::time::{Duration, Instant};
-use support::{Count, Part, claimed, clean, domain, say, take_all, wait_for, wait_for_the_end};
-use tautline_transport::{Limits, Participant, Publisher, Qos, Subscription};
+use support::{
+    Count, Part, claimed, clean, domain, publisher, say, subscription, take_all, wait_for, wait_for_the_end,
+};
+use tautline_transport::{Participant, Publisher, Qos, Subscription};
 
 const DOMAIN: u32 = 192;
 const DOMAIN_OF_STOPPED: u32 = 130;
@@ -13,18 +15,10 @@ const STOPPED: &str = "/ended/stopped";
 /// To the one that was stopped.
 const SENT: u64 = 62;
 
-fn new_publisher(participant: &Participant, topic: &str, qos: Qos) -> Publisher<Count> {
-    participant.create_publisher(topic, qos, Limits::default()).unwrap()
-}
-
-fn new_subscription(participant: &Participant, topic: &str, qos: Qos) -> Subscription<Count> {
-    participant.create_subscription(topic, qos, Limits::default()).unwrap()
-}
-
 /// Both ends of a topic; they keep their participant.
 fn ends(topic: &str, qos: Qos) -> (Subscription<Count>, Publisher<Count>) {
     let participant = Participant::new(domain(DOMAIN)).unwrap();
-    (new_subscription(&participant, topic, qos), new_publisher(&participant, topic, qos))
+    (subscription(&participant, topic, qos), publisher(&participant, topic, qos))
 }
 
 fn publish(publisher: &Publisher<Count>, numbers: std::ops::RangeInclusive<u64>) {
@@ -67,10 +61,10 @@ fn what_it_overwrote_before_it_ended_is_counted() {
 fn two_hundred_publishers_come_and_go() {
     let participant = Participant::new(domain(DOMAIN)).unwrap();
     let topic = "/ended/many";
-    let subscription = new_subscription(&participant, topic, Qos::default());
+    let subscription = subscription(&participant, topic, Qos::default());
     let (mut received, rounds) = (0, 200);
     for round in 0..rounds {
-        let publisher = new_publisher(&participant, topic, Qos::default());
+        let publisher = publisher(&participant, topic, Qos::default());
         if round % 2 == 0 {
             received += take_all(&subscription).len() as u64;
         }
@@ -86,7 +80,7 @@ fn two_hundred_publishers_come_and_go() {
 fn child_main() {
     let Some((_, domain)) = support::part() else { return };
     let participant = Participant::new(domain).unwrap();
-    let subscription = new_subscription(&participant, STOPPED, Qos::default());
+    let subscription = subscription(&participant, STOPPED, Qos::default());
     say("ready");
     let mut taken = Vec::new();
     // Messages of different publishers have no order: the last one sent may come before others.
@@ -107,7 +101,7 @@ fn what_was_sent_by_one_that_was_never_seen_is_received() {
     let domain = domain(DOMAIN_OF_STOPPED);
     clean(domain);
     let participant = Participant::new(domain).unwrap();
-    let create = |participant: &Participant| new_publisher(participant, STOPPED, Qos::default());
+    let create = |participant: &Participant| publisher(participant, STOPPED, Qos::default());
     let mut part = Part::start("stopped", domain);
     part.hear();
     let before = claimed(domain);
@@ -118,7 +112,7 @@ fn what_was_sent_by_one_that_was_never_seen_is_received() {
     // Much happens before the one that was stopped goes on: the warden waits for it.
     let start = Instant::now();
     while start.elapsed() < Duration::from_millis(300) {
-        drop(new_publisher(&participant, "/ended/elsewhere", Qos::default()));
+        drop(publisher(&participant, "/ended/elsewhere", Qos::default()));
     }
     for n in 1..=60 {
         let publisher = create(&participant);
@@ -141,8 +135,8 @@ fn what_was_sent_by_one_that_was_never_seen_is_received() {
 fn one_that_lives_on_is_remembered_however_many_come_and_go() {
     let participant = Participant::new(domain(DOMAIN)).unwrap();
     let topic = "/ended/remembered";
-    let subscription = new_subscription(&participant, topic, Qos::default());
-    let create = || new_publisher(&participant, topic, Qos::default());
+    let subscription = subscription(&participant, topic, Qos::default());
+    let create = || publisher(&participant, topic, Qos::default());
     let lives = create();
     for n in 1..=100 {
         publish(&lives, n..=n);

@@ -13,7 +13,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tautline_msgs::Message;
 use tautline_rt::clock::test_time;
-use tautline_transport::{Claim, Limits, Participant, Subscription};
+use tautline_transport::{Claim, Limits, Participant, Publisher, Qos, Subscription};
 
 #[derive(Message, Clone, Copy, Debug, PartialEq)]
 #[message(name = "test_msgs/msg/Count", crate = "tautline_msgs")]
@@ -56,6 +56,14 @@ pub fn domain(number: u32) -> u32 {
 /// That of whoever runs the tests, or one that no user's programs are in, nor the tests of other packages.
 fn scope() -> &'static str {
     tautline_rt::domain::test_scope(env!("CARGO_PKG_NAME"))
+}
+
+pub fn publisher(participant: &Participant, topic: &str, qos: Qos) -> Publisher<Count> {
+    participant.create_publisher(topic, qos, Limits::default()).unwrap()
+}
+
+pub fn subscription(participant: &Participant, topic: &str, qos: Qos) -> Subscription<Count> {
+    participant.create_subscription(topic, qos, Limits::default()).unwrap()
 }
 
 /// Takes all that is there.

@@ -3,7 +3,7 @@
 #![allow(dead_code, reason = "each test uses a part")]
 
 use std::time::{Duration, Instant};
-use tautline_gateway::{Gateway, Network, Options, Stats};
+use tautline_gateway::{Direction, Gateway, Network, Options, Stats, TopicStats};
 use tautline_rt::Realtime;
 use tautline_transport::{
     Limits, MessageInfo, Participant, Qos, RawPublisher, RawSample, RawSubscription, TopicType,
@@ -92,6 +92,11 @@ impl Host {
     pub fn subscription(&self, topic: &str, topic_type: &TopicType, qos: Qos) -> RawSubscription {
         self.participant.create_raw_subscription(topic, topic_type, qos, Limits::default()).unwrap()
     }
+}
+
+/// What a host's gateway counts of a topic in one direction.
+pub fn stats(host: &Host, topic: &str, direction: Direction) -> Option<TopicStats> {
+    host.stats().topics.into_iter().find(|stats| stats.name.topic == topic && stats.direction == direction)
 }
 
 /// Waits until `done` says something.
