@@ -258,13 +258,8 @@ fn simulate(system: &System, rng: &mut StdRng, until: i64) -> (Vec<i64>, Vec<i64
                 here.max_by_key(rank)
             })
             .collect();
-        let step = running.iter().map(|j| ready[*j].work).min();
-        let step = match (step, next) {
-            (Some(work), Some(next)) => work.min(next - now),
-            (Some(work), None) => work,
-            (None, Some(next)) => next - now,
-            (None, None) => break,
-        };
+        let work = running.iter().map(|j| ready[*j].work);
+        let Some(step) = work.chain(next.map(|next| next - now)).min() else { break };
         now += step;
         running.iter().for_each(|j| ready[*j].work -= step);
         let (done, rest): (Vec<Job>, _) = ready.into_iter().partition(|job| job.work == 0);

@@ -34,6 +34,12 @@ fn covers(checked: &CheckedSystem, bound: Option<f64>, truth: f64) {
     }
 }
 
+/// As [`covers`], for the response of a callback, in ms.
+#[track_caller]
+fn covers_response(checked: &CheckedSystem, name: &str, truth: f64) {
+    covers(checked, response(checked, name), truth);
+}
+
 #[track_caller]
 fn warns(checked: &CheckedSystem, of: &str) {
     assert!(checked.warnings.iter().any(|warning| warning.contains(of)), "{of}: {:#?}", checked.warnings);
@@ -87,29 +93,26 @@ fn locks_of_one_file_block_what_another_file_has() {
     machine.add_file(Share { file: &a, host: "h", label: "a.toml" });
     machine.add_file(Share { file: &b, host: "h", label: "b.toml" });
     let checked = machine.check();
-    covers(&checked, response(&checked, "b"), 13.0);
+    covers_response(&checked, "b", 13.0);
 }
 
 /// A job that was demoted ends just before the next one.
 #[test]
 fn a_demoted_publisher_publishes_late() {
-    let checked = case!("demoted_publisher");
-    covers(&checked, response(&checked, "low"), 12.0);
+    covers_response(&case!("demoted_publisher"), "low", 12.0);
 }
 
 /// It is demoted while it holds the lock that the lower one needs next.
 #[test]
 fn a_demoted_job_that_holds_a_lock_blocks_as_a_lower_one() {
-    let checked = case!("demoted_with_lock");
-    covers(&checked, response(&checked, "mid"), 7.0);
+    covers_response(&case!("demoted_with_lock"), "mid", 7.0);
 }
 
 /// At 0 a demoted job is at the begin of its section, with which it ends at 4. The next one is released then, uses its budget up just after it
 /// takes the lock again, and ends with that section at 13.
 #[test]
 fn every_demoted_job_may_end_with_a_section() {
-    let checked = case!("demoted_at_the_end_of_a_section");
-    covers(&checked, response(&checked, "mid"), 23.0);
+    covers_response(&case!("demoted_at_the_end_of_a_section"), "mid", 23.0);
 }
 
 /// What piled up during the stall uses up the runtime, so that the kernel stops it again.
@@ -122,17 +125,14 @@ fn what_catches_up_after_a_stall_may_be_throttled() {
 
 #[test]
 fn the_gateway_works_for_what_is_only_read() {
-    let checked = case!("gateway_of_a_register");
-    covers(&checked, response(&checked, "ctl"), 8.0);
-    let checked = case!("gateway_of_a_trigger");
-    covers(&checked, response(&checked, "ctl"), 0.8);
+    covers_response(&case!("gateway_of_a_register"), "ctl", 8.0);
+    covers_response(&case!("gateway_of_a_trigger"), "ctl", 0.8);
 }
 
 /// What was left of one budget is used right before the next.
 #[test]
 fn a_suspended_job_may_use_two_budgets_at_once() {
-    let checked = case!("suspended_with_jitter");
-    covers(&checked, response(&checked, "low"), 11.0);
+    covers_response(&case!("suspended_with_jitter"), "low", 11.0);
 }
 
 #[test]
@@ -146,35 +146,31 @@ fn an_executor_of_ros_polls_in_rounds() {
 /// The budget has room for all work per message, and the sampler does its part besides.
 #[test]
 fn a_demoted_job_uses_the_samplers_part_of_its_budget_too() {
-    let checked = case!("demoted_budget");
-    covers(&checked, response(&checked, "low"), 5.53);
+    covers_response(&case!("demoted_budget"), "low", 5.53);
 }
 
 /// A job takes 4.07 ms, the reservation has 4.03.
 #[test]
 fn a_reservation_pays_for_its_messages() {
     let checked = case!("reservation_and_messages");
-    covers(&checked, response(&checked, "points"), 20.0);
+    covers_response(&checked, "points", 20.0);
     warns(&checked, "reservation");
 }
 
 /// One section lasts to 9. The runtime is used up at 15; the other section begins just before the next period, at 19, and lasts to 28.
 #[test]
 fn a_section_may_begin_while_a_reservation_waits() {
-    let checked = case!("section_in_a_gap");
-    covers(&checked, response(&checked, "points"), 29.99);
+    covers_response(&case!("section_in_a_gap"), "points", 29.99);
 }
 
 #[test]
 fn a_floating_reservation_may_wake_in_a_section_of_any_core() {
-    let checked = case!("floating_reservation");
-    covers(&checked, response(&checked, "fast"), 8.99);
+    covers_response(&case!("floating_reservation"), "fast", 8.99);
 }
 
 #[test]
 fn a_join_in_a_group_takes_all_that_is_queued() {
-    let checked = case!("join_in_group");
-    covers(&checked, response(&checked, "m"), 41.0);
+    covers_response(&case!("join_in_group"), "m", 41.0);
 }
 
 /// The sensor's messages come at 1, 11, 21 ..., the slow one's at 0, 100, 200 ... a moment before: the set at 100 has the sensor's release of 90,
@@ -204,16 +200,14 @@ fn no_way_of_a_chain_is_left_out() {
 
 #[test]
 fn who_waits_for_a_lock_pays_for_two_switches_more() {
-    let checked = case!("inheritance_switches");
-    covers(&checked, response(&checked, "high"), 8.0);
+    covers_response(&case!("inheritance_switches"), "high", 8.0);
 }
 
 /// The lower one runs from 1 on and takes the lock. The higher one comes at once, runs from 2 on and waits; the lower one has its section from 3 to 6, the
 /// higher one runs from 7 to 9, and the lower one has its last 2 ms from 10 to 12.
 #[test]
 fn who_holds_a_lock_pays_for_the_switches_of_who_waits() {
-    let checked = case!("inheritance_switches");
-    covers(&checked, response(&checked, "low"), 12.0);
+    covers_response(&case!("inheritance_switches"), "low", 12.0);
 }
 
 /// `low` runs from 1 on. `held` comes at 1 and at 11: 1 ms to switch to it, 2 ms until its budget is used up, 1 ms to switch back.
@@ -222,23 +216,19 @@ fn a_budget_ends_with_a_switch_to_another() {
     let text = "[hosts.h]\ncores = 1\n[overheads]\ncontext_switch = \"1ms\"\n[nodes.n]\n\
                 [callbacks.held]\nperiod = \"10ms\"\nwcet = \"1ms\"\npriority = 50\noverrun = \"suspend\"\n\
                 [callbacks.low]\nperiod = \"100ms\"\nwcet = \"10ms\"\npriority = 30\n";
-    covers(&check(text), response(&check(text), "low"), 19.0);
-    let text = text.replace("suspend", "demote");
-    covers(&check(&text), response(&check(&text), "low"), 19.0);
+    covers_response(&check(text), "low", 19.0);
+    covers_response(&check(&text.replace("suspend", "demote")), "low", 19.0);
 }
 
 #[test]
 fn interrupts_and_throttling_do_not_wait_for_a_section() {
-    let checked = case!("tail_and_ticks");
-    covers(&checked, response(&checked, "a"), 11.2);
-    let checked = case!("tail_and_throttling");
-    covers(&checked, response(&checked, "a"), 12.0);
+    covers_response(&case!("tail_and_ticks"), "a", 11.2);
+    covers_response(&case!("tail_and_throttling"), "a", 12.0);
 }
 
 #[test]
 fn a_late_timer_of_a_group_keeps_its_place() {
-    let checked = case!("late_timer_in_group");
-    covers(&checked, response(&checked, "m"), 29.0);
+    covers_response(&case!("late_timer_in_group"), "m", 29.0);
 }
 
 #[test]

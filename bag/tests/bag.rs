@@ -198,23 +198,29 @@ fn messages_come_in_the_order_of_their_reception() {
     }
 }
 
+/// A bag to which 200 messages were written, and flushed after every 20: its bytes and messages at first, and after each flush.
+fn flushed(bag: &Path, compression: Compression) -> (Writer, Vec<(u64, u64)>) {
+    let options = Options { compression, ..Options::default() };
+    let mut writer = Writer::create(bag, options, BTreeMap::new()).unwrap();
+    let topics = ["/even", "/odd"].map(|name| writer.add_topic(topic(name)).unwrap());
+    let mut flushed = vec![(writer.bytes(), 0)];
+    for n in 0..200 {
+        writer.write(topics[n as usize % 2], stamp(n), &body(n)).unwrap();
+        if n % 20 == 19 {
+            writer.flush().unwrap();
+            flushed.push((writer.bytes(), n + 1));
+        }
+    }
+    (writer, flushed)
+}
+
 /// As a process leaves it that was killed: no end, no index, the last record torn at any byte.
 #[test]
 fn what_was_cut_off_anywhere_is_recovered() {
     let folder = tempfile::tempdir().unwrap();
     for compression in [Compression::None, Compression::Zstd, Compression::Lz4] {
         let bag = folder.path().join(format!("{compression:?}"));
-        let mut writer =
-            Writer::create(&bag, Options { compression, ..Options::default() }, BTreeMap::new()).unwrap();
-        let topics = ["/even", "/odd"].map(|name| writer.add_topic(topic(name)).unwrap());
-        let mut flushed = vec![(writer.bytes(), 0)];
-        for n in 0..200 {
-            writer.write(topics[n as usize % 2], stamp(n), &body(n)).unwrap();
-            if n % 20 == 19 {
-                writer.flush().unwrap();
-                flushed.push((writer.bytes(), n + 1));
-            }
-        }
+        let (writer, flushed) = flushed(&bag, compression);
         let file = files_of(&bag).unwrap().remove(0);
         let whole = fs::read(&file).unwrap();
         drop(writer);
@@ -397,15 +403,7 @@ fn a_changed_byte_costs_no_more_than_its_chunk() {
     let mut random = random();
     for compression in [Compression::None, Compression::Zstd, Compression::Lz4] {
         let bag = folder.path().join(format!("{compression:?}"));
-        let mut writer =
-            Writer::create(&bag, Options { compression, ..Options::default() }, BTreeMap::new()).unwrap();
-        let topics = ["/even", "/odd"].map(|name| writer.add_topic(topic(name)).unwrap());
-        for n in 0..200 {
-            writer.write(topics[n as usize % 2], stamp(n), &body(n)).unwrap();
-            if n % 20 == 19 {
-                writer.flush().unwrap();
-            }
-        }
+        let (writer, _) = flushed(&bag, compression);
         let file = writer.finish(BTreeMap::new()).unwrap().files.remove(0).path;
         let whole = fs::read(&file).unwrap();
         for _ in 0..300 {

@@ -8,7 +8,7 @@ mod schemas;
 #[allow(dead_code, reason = "definitions of ROS are not used here")]
 mod ros;
 
-use schemas::Checked;
+use schemas::{Checked, ended};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
@@ -33,9 +33,7 @@ impl Place {
     fn taut(&self, args: &[&str]) -> (i32, String, String) {
         let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));
         command.args(args).current_dir(self.0.path()).env("TAUT_DOMAIN", "95").env_remove("RUST_LOG");
-        let output = command.checked();
-        let [out, errors] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
-        (output.status.code().unwrap(), out, errors)
+        ended(command.checked())
     }
 
     fn convert(&self, args: &[&str]) -> Value {

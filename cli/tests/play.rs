@@ -6,15 +6,15 @@ mod schemas;
 
 mod child;
 
+use child::{signal, wait_for};
 use rustix::pty;
-use schemas::Checked;
+use schemas::{Checked, ended};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Command, Stdio};
 use tautline_bag::{Compression, Definition, Options, PUBLISHER, Stamp, Topic, Writer};
-use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{
     EndpointKind, Limits, MessageInfo, Participant, Qos, RawSubscription, TopicType, graph_of,
 };
@@ -119,23 +119,6 @@ impl Place {
             assert!(reader.read_line(&mut line).unwrap() > 0, "it ended");
         }
         child
-    }
-}
-
-fn ended(output: Output) -> (i32, String, String) {
-    let [out, errors] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
-    (output.status.code().unwrap(), out, errors)
-}
-
-fn signal(child: &Child, name: &str) {
-    assert!(Command::new("kill").args([name, &child.id().to_string()]).status().unwrap().success());
-}
-
-fn wait_for(what: &str, mut is_so: impl FnMut() -> bool) {
-    let start_ns = monotonic_ns();
-    while !is_so() {
-        assert!(monotonic_ns() - start_ns < 60_000_000_000, "waited for {what} for a minute");
-        std::thread::yield_now();
     }
 }
 

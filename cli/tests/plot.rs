@@ -4,7 +4,7 @@
 #[path = "support/schemas.rs"]
 mod schemas;
 
-use schemas::Checked;
+use schemas::{Checked, ended};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::fs;
@@ -59,9 +59,7 @@ impl Place {
     fn plot(&self, args: &[&str]) -> (i32, String, String) {
         let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));
         command.args(["bag", "plot", "bag"]).args(args).current_dir(self.0.path()).env_remove("RUST_LOG");
-        let output = command.checked();
-        let [out, errors] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
-        (output.status.code().unwrap(), out, errors)
+        ended(command.checked())
     }
 
     fn svg(&self, args: &[&str]) -> String {

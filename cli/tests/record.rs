@@ -8,6 +8,7 @@ mod peer;
 mod ros;
 mod support;
 
+use child::wait_for;
 use futures::StreamExt;
 use peer::{Peer, hex};
 use rustix::process::{Pid, Resource, Rlimit, getrlimit, prlimit};
@@ -15,10 +16,10 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use support::Here;
-use support::schemas::Checked;
+use support::schemas::{Checked, ended};
 use tautline::Qos;
 use tautline::example_interfaces::action::Fibonacci;
 use tautline::example_interfaces::srv::AddTwoInts;
@@ -127,20 +128,11 @@ impl Place {
     }
 }
 
-fn wait_for(what: &str, mut is_so: impl FnMut() -> bool) {
-    let start_ns = monotonic_ns();
-    while !is_so() {
-        assert!(monotonic_ns() - start_ns < 60_000_000_000, "waited for {what} for a minute");
-        std::thread::yield_now();
-    }
-}
-
 struct Recorder(Child);
 
 impl Recorder {
     fn signal(&self, name: &str) {
-        let pid = self.0.id().to_string();
-        assert!(Command::new("kill").args([name, &pid]).status().unwrap().success());
+        child::signal(&self.0, name);
     }
 
     /// As Ctrl-C ends it.
@@ -152,11 +144,6 @@ impl Recorder {
         }
         ended(output)
     }
-}
-
-fn ended(output: Output) -> (i32, String, String) {
-    let [out, errors] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
-    (output.status.code().unwrap(), out, errors)
 }
 
 fn read(bag: &Path) -> BTreeMap<String, Vec<(Stamp, Vec<u8>)>> {

@@ -16,6 +16,7 @@ use futures::StreamExt;
 use serde_json::Value;
 use tautline::{CallbackOptions, Context, Message, Node, Publisher, Qos, Realtime, Sample};
 use tautline_rt::clock;
+use tautline_rt::permission::{realtime_permitted, test_needs};
 
 #[derive(Message, Clone, Copy)]
 #[repr(C)]
@@ -468,17 +469,10 @@ fn execution_times_are_fitted_and_written_with_their_source() {
 #[test]
 fn execution_times_are_fitted_by_the_size_of_the_input() {
     let scratch = Scratch::new("sizes");
-    let system = scratch.write("system.toml", SYSTEM);
-    let mut running = Running::start(58, Realtime::Off, &system);
-    running.handle("fine", 1, &releases(1, PERIOD, LITTLE));
-    running.handle("other", 1, &releases(1, PERIOD, LITTLE));
-    let path = scratch.0.join("run.json");
-    let path = path.to_str().unwrap();
-    assert_eq!(taut(&["--domain", "58", "--save", path]).status.code(), Some(0));
-    drop(running);
+    let (path, mut run) = saved(&scratch, 58);
+    let path = path.as_str();
 
     // The callback says how long it is told to work: that went through the statistics' file.
-    let mut run: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
     let fine = run["processes"][0]["callbacks"].as_array_mut().unwrap();
     let fine = fine.iter_mut().find(|of| of["name"] == "fine").unwrap();
     let [class] = fine["inputs"].as_array().unwrap().as_slice() else { panic!("{fine}") };
@@ -573,15 +567,8 @@ fn member<'v>(value: &'v mut Value, path: &str) -> &'v mut Value {
 #[test]
 fn no_violation_gets_lost_between_buckets_or_processes() {
     let scratch = Scratch::new("lost");
-    let system = scratch.write("system.toml", SYSTEM);
-    let mut running = Running::start(129, Realtime::Off, &system);
-    running.handle("fine", 1, &releases(1, PERIOD, LITTLE));
-    running.handle("other", 1, &releases(1, PERIOD, LITTLE));
-    let path = scratch.0.join("run.json");
-    let path = path.to_str().unwrap();
-    assert_eq!(taut(&["--domain", "129", "--save", path]).status.code(), Some(0));
-    drop(running);
-    let saved: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+    let (path, saved) = saved(&scratch, 129);
+    let path = path.as_str();
     let report = |run: &Value, arguments: &[&str]| {
         std::fs::write(path, run.to_string()).unwrap();
         json(&taut(&[&[path, "--json"], arguments].concat()))
@@ -757,9 +744,7 @@ fn a_watcher_sees_a_run_to_its_end_and_keeps_it() {
 
 #[test]
 fn priorities_and_cores_are_compared_where_they_are_real() {
-    if let Err(error) = tautline_rt::permission::realtime_permitted(60) {
-        assert!(std::env::var_os("CI").is_none(), "{error}");
-        println!("skipped: {error}");
+    if test_needs(realtime_permitted(60)).is_none() {
         return;
     }
     let scratch = Scratch::new("realtime");
@@ -791,9 +776,7 @@ fn priorities_and_cores_are_compared_where_they_are_real() {
 
 #[test]
 fn what_does_not_fit_beside_it_is_told_by_check_and_by_the_report() {
-    if let Err(error) = tautline_rt::permission::realtime_permitted(60) {
-        assert!(std::env::var_os("CI").is_none(), "{error}");
-        println!("skipped: {error}");
+    if test_needs(realtime_permitted(60)).is_none() {
         return;
     }
     let scratch = Scratch::new("admission");

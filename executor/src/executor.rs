@@ -249,9 +249,7 @@ impl Executor {
         let registration = self.registry.claim(thread, online)?;
 
         let stats = Arc::new(CallbackStats::new(options.name.as_str()));
-        stats.set_deadline(options.effective_deadline());
-        stats.set_budget(options.budget);
-        stats.set_bound(options.bound);
+        stats.set_limits(&options);
         let no_statistics = |source| ExecutorError::Statistics { name: options.name.clone(), source };
         let kind = if members.is_empty() { kind::CALLBACK } else { kind::GROUP };
         stats.place(self.statistics.as_ref(), kind).map_err(no_statistics)?;

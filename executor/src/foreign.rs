@@ -156,9 +156,7 @@ impl ForeignCallback {
 
     fn of_kind(file: &StatisticsFile, options: &CallbackOptions, kind: u64) -> io::Result<ForeignCallback> {
         let stats = CallbackStats::new(&*options.name);
-        stats.set_deadline(options.effective_deadline());
-        stats.set_budget(options.budget);
-        stats.set_bound(options.bound);
+        stats.set_limits(options);
         stats.place(Some(file), kind)?;
         stats.describe_jobs(options.period, options.execution_time);
         if options.policy.realtime_priority().is_some() {

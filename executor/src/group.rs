@@ -100,9 +100,7 @@ impl CallbackGroup {
     {
         let MemberOptions(options) = member.into();
         let stats = Arc::new(CallbackStats::new(options.name.as_str()));
-        stats.set_deadline(options.effective_deadline());
-        stats.set_budget(options.budget);
-        stats.set_bound(options.bound);
+        stats.set_limits(&options);
         let (member_stats, watch) = (Arc::clone(&stats), options.watch.clone());
         self.members.push(MemberInfo { stats: Arc::clone(&stats), options });
         self.recipes.push(Box::new(move || {

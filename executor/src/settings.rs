@@ -54,11 +54,7 @@ impl CallbackSettings {
                 }
             }
         }
-        for (_, stats) in &found {
-            stats.set_deadline(options.effective_deadline());
-            stats.set_budget(options.budget);
-            stats.set_bound(options.bound);
-        }
+        found.iter().for_each(|(_, stats)| stats.set_limits(options));
         Ok(found.len())
     }
 }

@@ -6,7 +6,7 @@ mod common;
 
 use std::time::Duration;
 
-use common::{Log, context, spin};
+use common::{Log, context, eventually, spinning_node};
 use futures::executor::block_on;
 use futures::future::{Either, select};
 use futures::stream::BoxStream;
@@ -15,16 +15,11 @@ use tautline::action_msgs::srv::CancelGoal;
 use tautline::example_interfaces::action::Fibonacci;
 use tautline::{
     ActionClient, ActionServerCancelRequest, ActionServerGoal, ActionServerGoalRequest, ActionServerOptions,
-    CallbackOptions, Context, Error, GoalStatus, MAX_PENDING_REQUESTS, Node, Qos,
+    CallbackOptions, Error, GoalStatus, MAX_PENDING_REQUESTS, Node, Qos,
 };
-use tautline_rt::clock::test_time;
 
 type Goal = ActionServerGoal<Fibonacci::Action>;
 type GoalRequest = ActionServerGoalRequest<Fibonacci::Action>;
-
-fn node(ctx: &Context) -> Node {
-    Node::create(ctx.clone(), "acting", "").unwrap()
-}
 
 fn numbers(order: i32) -> Vec<i32> {
     let mut sequence = vec![0, 1];
@@ -87,9 +82,7 @@ fn client(node: &mut Node, name: &str) -> ActionClient<Fibonacci::Action> {
 
 #[test]
 fn goals_and_their_ends() {
-    let ctx = context(165);
-    let mut node = node(&ctx);
-    let _spinning = spin(&ctx);
+    let (mut node, _spinning) = spinning_node(165, "acting");
     serve(&mut node, "ends");
     let client = client(&mut node, "ends");
     let run = |order| {
@@ -120,9 +113,7 @@ fn goals_and_their_ends() {
 
 #[test]
 fn cancelling() {
-    let ctx = context(167);
-    let mut node = node(&ctx);
-    let _spinning = spin(&ctx);
+    let (mut node, _spinning) = spinning_node(167, "acting");
     serve(&mut node, "cancelled");
     let client = client(&mut node, "cancelled");
     let run = |order| {
@@ -141,9 +132,7 @@ fn cancelling() {
 
 #[test]
 fn results_expire_and_goals_are_forgotten() {
-    let ctx = context(168);
-    let mut node = node(&ctx);
-    let _spinning = spin(&ctx);
+    let (mut node, _spinning) = spinning_node(168, "acting");
     let options =
         ActionServerOptions { result_timeout: Duration::from_millis(10), ..ActionServerOptions::default() };
     let goals = node.create_action_server_with::<Fibonacci::Action>("forgetful", options).unwrap();
@@ -170,18 +159,15 @@ fn results_expire_and_goals_are_forgotten() {
 
 #[test]
 fn a_server_that_goes_ends_what_waits_for_it() {
-    let ctx = context(169);
-    let mut node = node(&ctx);
-    let _spinning = spin(&ctx);
+    let (mut node, _spinning) = spinning_node(169, "acting");
     let lonely = node.create_action_client::<Fibonacci::Action>("gone").unwrap();
     let error = lonely.send_goal_request(Fibonacci::Goal { order: 1 }).err().unwrap();
     assert!(error.to_string().contains("'/gone/_action/send_goal' has no server"), "{error}");
 
-    let goals = node.create_action_server::<Fibonacci::Action>("gone").unwrap();
+    let mut goals = node.create_action_server::<Fibonacci::Action>("gone").unwrap();
     let client = client(&mut node, "gone");
     let sent = client.send_goal_request(Fibonacci::Goal { order: 1 }).unwrap();
-    let (request, goals) = block_on(goals.into_future());
-    let (goal, cancels): (Goal, _) = request.unwrap().accept().unwrap();
+    let (goal, cancels) = block_on(accept(&mut goals));
     let (_handle, result, feedback) = block_on(sent).unwrap();
     // The goal goes on without the stream of goals, but new ones are rejected.
     drop(goals);
@@ -193,14 +179,12 @@ fn a_server_that_goes_ends_what_waits_for_it() {
     assert_eq!(status, GoalStatus::Aborted);
     assert_eq!(block_on(feedback.map(|feedback| feedback.sequence).collect::<Vec<_>>()), [[5]]);
     // With the last goal the server has gone.
-    common_wait(|| client.send_goal_request(Fibonacci::Goal { order: 1 }).is_err());
+    eventually("the server to go", || client.send_goal_request(Fibonacci::Goal { order: 1 }).is_err());
 }
 
 #[test]
 fn a_goal_is_known_as_long_as_somebody_asks_about_it() {
-    let ctx = context(64);
-    let mut node = node(&ctx);
-    let spinning = spin(&ctx);
+    let (mut node, spinning) = spinning_node(64, "acting");
     let client = node.create_action_client::<Fibonacci::Action>("known").unwrap();
     let known = |client: &ActionClient<_>, n: usize| {
         assert!(format!("{client:?}").contains(&format!("goals: {n}")), "{client:?}");
@@ -231,21 +215,18 @@ fn a_goal_is_known_as_long_as_somebody_asks_about_it() {
     let (status, _) = block_on(result).unwrap();
     assert_eq!((status, block_on(feedback.count())), (GoalStatus::Canceled, 1));
     // Unless the context ends: then they end, with an error, or with what the server says of its goal when that is dropped.
-    drop((spinning, node, ctx));
+    drop((spinning, node));
     assert!(block_on(late_feedback.count()) <= 1);
     assert!(block_on(late_result).map_or(true, |(status, _)| status == GoalStatus::Aborted));
 }
 
 #[test]
 fn a_request_to_cancel_that_nobody_decided_on_ends_with_the_goal() {
-    let ctx = context(65);
-    let mut node = node(&ctx);
-    let _spinning = spin(&ctx);
-    let goals = node.create_action_server::<Fibonacci::Action>("undecided").unwrap();
+    let (mut node, _spinning) = spinning_node(65, "acting");
+    let mut goals = node.create_action_server::<Fibonacci::Action>("undecided").unwrap();
     let client = client(&mut node, "undecided");
     let sent = client.send_goal_request(Fibonacci::Goal { order: 1 }).unwrap();
-    let (request, goals) = block_on(goals.into_future());
-    let (mut goal, mut cancels): (Goal, _) = request.unwrap().accept().unwrap();
+    let (mut goal, mut cancels) = block_on(accept(&mut goals));
     let (handle, result, _feedback) = block_on(sent).unwrap();
     let [first, second] = [(); 2].map(|()| handle.cancel().unwrap());
     let undecided = block_on(cancels.next()).unwrap();
@@ -261,20 +242,17 @@ fn a_request_to_cancel_that_nobody_decided_on_ends_with_the_goal() {
     assert_eq!(block_on(result).unwrap().0, GoalStatus::Succeeded);
     // Neither that request nor the stream of them keeps the server there.
     drop((goal, goals));
-    common_wait(|| client.send_goal_request(Fibonacci::Goal { order: 1 }).is_err());
+    eventually("the server to go", || client.send_goal_request(Fibonacci::Goal { order: 1 }).is_err());
     drop(cancels);
 }
 
 #[test]
 fn feedback_that_nobody_reads_is_not_kept_for_ever() {
-    let ctx = context(71);
-    let mut node = node(&ctx);
-    let _spinning = spin(&ctx);
-    let goals = node.create_action_server::<Fibonacci::Action>("talkative").unwrap();
+    let (mut node, _spinning) = spinning_node(71, "acting");
+    let mut goals = node.create_action_server::<Fibonacci::Action>("talkative").unwrap();
     let client = client(&mut node, "talkative");
     let sent = client.send_goal_request(Fibonacci::Goal { order: 1 }).unwrap();
-    let (request, _goals) = block_on(goals.into_future());
-    let (mut goal, _cancels): (Goal, _) = request.unwrap().accept().unwrap();
+    let (mut goal, _cancels) = block_on(accept(&mut goals));
     let (_handle, result, feedback) = block_on(sent).unwrap();
     let all = node.subscribe::<Fibonacci::FeedbackMessage>("talkative/_action/feedback", Qos::default());
     let mut all = all.unwrap();
@@ -293,8 +271,7 @@ fn feedback_that_nobody_reads_is_not_kept_for_ever() {
 /// What the thread that listens has no time for waits, as much as its queue holds, whoever made the topic.
 #[test]
 fn feedback_waits_in_a_queue_of_a_thousand() {
-    let ctx = context(50);
-    let mut node = node(&ctx);
+    let mut node = Node::create(context(50), "acting", "").unwrap();
     let depths = |node: &Node, topic: &str| -> Vec<_> {
         let ends = node.get_subscriptions_info_by_topic(topic).unwrap();
         ends.iter().map(|end| end.qos.depth).collect()
@@ -310,9 +287,7 @@ fn feedback_waits_in_a_queue_of_a_thousand() {
 
 #[test]
 fn all_who_ask_to_cancel_before_a_decision_share_it() {
-    let ctx = context(51);
-    let mut node = node(&ctx);
-    let _spinning = spin(&ctx);
+    let (mut node, _spinning) = spinning_node(51, "acting");
     let mut goals = node.create_action_server::<Fibonacci::Action>("asked").unwrap();
     let client = client(&mut node, "asked");
     let sent = client.send_goal_request(Fibonacci::Goal { order: 1 }).unwrap();
@@ -347,9 +322,7 @@ type Cancels = BoxStream<'static, ActionServerCancelRequest>;
 
 #[test]
 fn a_goal_too_many_is_not_sent() {
-    let ctx = context(48);
-    let mut node = node(&ctx);
-    let _spinning = spin(&ctx);
+    let (mut node, _spinning) = spinning_node(48, "acting");
     let mut goals = node.create_action_server::<Fibonacci::Action>("many").unwrap();
     let client = client(&mut node, "many");
     let send = || client.send_goal_request(Fibonacci::Goal { order: 1 });
@@ -383,9 +356,7 @@ fn a_goal_too_many_is_not_sent() {
 
 #[test]
 fn a_goal_whose_result_cannot_be_asked_for_is_cancelled() {
-    let ctx = context(49);
-    let mut node = node(&ctx);
-    let _spinning = spin(&ctx);
+    let (mut node, _spinning) = spinning_node(49, "acting");
     let mut goals = node.create_action_server::<Fibonacci::Action>("unheard").unwrap();
     let client = client(&mut node, "unheard");
     let send = || client.send_goal_request(Fibonacci::Goal { order: 1 }).unwrap();
@@ -402,21 +373,10 @@ fn a_goal_whose_result_cannot_be_asked_for_is_cancelled() {
     assert_eq!(block_on(cancels.next()).unwrap().uuid, second_goal.uuid);
 }
 
-/// A test that would hang fails after a minute instead.
-fn common_wait(mut condition: impl FnMut() -> bool) {
-    let start = std::time::Instant::now();
-    while !condition() {
-        assert!(start.elapsed() < test_time(Duration::from_secs(60)));
-        std::thread::yield_now();
-    }
-}
-
 #[test]
 fn two_clients_hear_of_their_own_goals() {
     static HEARD: Log<(usize, Vec<i32>)> = Log::new();
-    let ctx = context(53);
-    let mut node = node(&ctx);
-    let _spinning = spin(&ctx);
+    let (mut node, _spinning) = spinning_node(53, "acting");
     serve(&mut node, "shared");
     let clients = [client(&mut node, "shared"), client(&mut node, "shared")];
     for (index, client) in clients.iter().cloned().enumerate() {
@@ -441,9 +401,7 @@ fn two_clients_hear_of_their_own_goals() {
 #[test]
 fn goals_as_json() {
     use serde_json::json;
-    let ctx = context(198);
-    let mut node = node(&ctx);
-    let _spinning = spin(&ctx);
+    let (mut node, _spinning) = spinning_node(198, "acting");
     serve(&mut node, "json");
     let client = node.create_action_client_untyped("json", "example_interfaces/action/Fibonacci").unwrap();
     block_on(async {
@@ -466,9 +424,7 @@ fn goals_as_json() {
 /// A cancel request that comes while the goal's own work goes on, as in r2r's example.
 #[test]
 fn work_and_cancel_requests_side_by_side() {
-    let ctx = context(54);
-    let mut node = node(&ctx);
-    let _spinning = spin(&ctx);
+    let (mut node, _spinning) = spinning_node(54, "acting");
     let mut goals = node.create_action_server::<Fibonacci::Action>("beside").unwrap();
     let mut timer = node.create_wall_timer(Duration::from_secs(3600)).unwrap();
     let serve = async move {

@@ -4,11 +4,11 @@
 mod common;
 
 use std::io::{BufRead, BufReader};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use common::realtime;
+use common::{File, realtime};
 use futures::future::pending;
 use tautline::{
     Admission, CallbackGroup, CallbackHandle, CallbackOptions, Context, Error, Node, Result, SystemError,
@@ -21,40 +21,21 @@ fn scope() {
     tautline_rt::domain::set_scope(&format!("admission-{}", std::process::id())).unwrap();
 }
 
-struct File(PathBuf);
-
-impl File {
-    /// One timer of 10 ms on core 0.
-    fn new(name: &str, wcet_ms: u32, priority: u8) -> File {
-        File::of(
-            name,
-            &format!(
-                "[hosts.robot]\ncores = 1\nsampler_priority = 60\n[overheads]\ncontext_switch = \"1us\"\n[nodes.{name}]\n[callbacks.{name}]\n\
-                 period = \"10ms\"\nwcet = \"{wcet_ms}ms\"\npriority = {priority}\n"
-            ),
-        )
-    }
-
-    fn of(name: &str, text: &str) -> File {
-        let path =
-            std::env::temp_dir().join(format!("tautline-admission-{}-{name}.toml", std::process::id()));
-        std::fs::write(&path, text).unwrap();
-        File(path)
-    }
-
-    fn context(&self, domain: u32) -> Result<Context> {
-        Context::builder().domain(domain).system(&self.0).build()
-    }
-
-    fn forced(&self, domain: u32) -> Result<Context> {
-        Context::builder().domain(domain).system(&self.0).admission(Admission::Force).build()
-    }
+/// Whether a test may have real-time priorities, in its scope.
+fn may_run() -> bool {
+    scope();
+    realtime()
 }
 
-impl Drop for File {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_file(&self.0);
-    }
+/// One timer of 10 ms on core 0.
+fn timer(name: &str, wcet_ms: u32, priority: u8) -> File {
+    File::new(
+        name,
+        &format!(
+            "[hosts.robot]\ncores = 1\nsampler_priority = 60\n[overheads]\ncontext_switch = \"1us\"\n[nodes.{name}]\n[callbacks.{name}]\n\
+             period = \"10ms\"\nwcet = \"{wcet_ms}ms\"\npriority = {priority}\n"
+        ),
+    )
 }
 
 #[track_caller]
@@ -72,11 +53,10 @@ fn spawn(context: &Context, options: CallbackOptions) -> Result<CallbackHandle> 
 
 #[test]
 fn a_file_that_does_not_fit_is_refused_with_the_response_time_that_would_break() {
-    if !realtime() {
+    if !may_run() {
         return;
     }
-    scope();
-    let (a, b, alone) = (File::new("a", 4, 40), File::new("b", 7, 50), File::new("alone", 10, 30));
+    let (a, b, alone) = (timer("a", 4, 40), timer("b", 7, 50), timer("alone", 10, 30));
     let text = refusal(alone.context(1));
     assert!(text.contains("beside it run: nothing") && text.contains("callback `alone`"), "{text}");
 
@@ -101,13 +81,12 @@ fn a_file_that_does_not_fit_is_refused_with_the_response_time_that_would_break()
 
 #[test]
 fn by_force_it_runs_and_its_statistics_say_so() {
-    if !realtime() {
+    if !may_run() {
         return;
     }
-    scope();
-    let (a, b) = (File::new("a", 4, 40), File::new("b", 7, 50));
+    let (a, b) = (timer("a", 4, 40), timer("b", 7, 50));
     let _a = a.context(1).unwrap();
-    let _b = b.forced(1).unwrap();
+    let _b = Context::builder().domain(1).system(&b.0).admission(Admission::Force).build().unwrap();
     let admitted: Vec<_> = shared_statistics(1)
         .unwrap()
         .0
@@ -127,7 +106,7 @@ fn by_force_it_runs_and_its_statistics_say_so() {
 #[test]
 fn without_real_time_priorities_or_a_check_nothing_is_refused() {
     scope();
-    let alone = File::new("alone", 10, 30);
+    let alone = timer("alone", 10, 30);
     let off =
         Context::builder().domain(1).system(&alone.0).realtime(tautline::Realtime::Off).build().unwrap();
     assert!(Running::of_domain(1).unwrap().machine().is_empty(), "nobody is delayed by it");
@@ -139,11 +118,10 @@ fn without_real_time_priorities_or_a_check_nothing_is_refused() {
 
 #[test]
 fn callbacks_are_checked_that_the_file_does_not_count() {
-    if !realtime() {
+    if !may_run() {
         return;
     }
-    scope();
-    let a = File::new("a", 4, 40);
+    let a = timer("a", 4, 40);
     let context = a.context(1).unwrap();
     let of_file = context.callback("a").unwrap();
     let first = spawn(&context, of_file.clone()).expect("it is the file's");
@@ -179,11 +157,10 @@ fn callbacks_are_checked_that_the_file_does_not_count() {
 
 #[test]
 fn a_callback_moved_from_where_the_file_has_it_counts_besides() {
-    if !realtime() {
+    if !may_run() {
         return;
     }
-    scope();
-    let a = File::new("a", 4, 40);
+    let a = timer("a", 4, 40);
     let context = a.context(1).unwrap();
     let mut moved = context.callback("a").unwrap();
     moved.policy = tautline::Policy::Fifo(41);
@@ -194,11 +171,10 @@ fn a_callback_moved_from_where_the_file_has_it_counts_besides() {
 
 #[test]
 fn a_reservation_delays_every_core_that_it_may_run_on() {
-    if !realtime() {
+    if !may_run() {
         return;
     }
-    scope();
-    let a = File::new("a", 4, 40);
+    let a = timer("a", 4, 40);
     let context = a.context(1).unwrap();
     let reserved = |runtime| {
         CallbackOptions::reserved(Duration::from_millis(runtime), Duration::from_millis(10)).name("points")
@@ -264,14 +240,13 @@ impl Drop for Peer {
 
 #[test]
 fn of_many_that_start_at_once_as_many_are_admitted_as_fit_and_killed_ones_leave_their_places() {
-    if !realtime() {
+    if !may_run() {
         return;
     }
-    scope();
     // Texts of their own are systems of their own: 3 of 3 ms fit, a fourth does not.
     let file = |n: u32| {
-        let text = std::fs::read_to_string(&File::new("a", 3, 40).0).unwrap();
-        File::of(
+        let text = std::fs::read_to_string(&timer("a", 3, 40).0).unwrap();
+        File::new(
             &format!("file{n}"),
             &format!("# {n}\n{}", text.replace("priority = 40", "priority = 40\nshares_priority = true")),
         )
@@ -289,11 +264,10 @@ fn of_many_that_start_at_once_as_many_are_admitted_as_fit_and_killed_ones_leave_
 
 #[test]
 fn who_dies_while_it_is_being_admitted_keeps_nobody_out() {
-    if !realtime() {
+    if !may_run() {
         return;
     }
-    scope();
-    let a = File::new("a", 4, 40);
+    let a = timer("a", 4, 40);
     let _member = a.context(1).unwrap();
     let folder = tautline_rt::domain::shared_path(1);
     let script = format!("exec 9<{} && flock -x 9 && echo locked && exec sleep 100", folder.display());

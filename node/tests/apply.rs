@@ -4,10 +4,9 @@
 mod common;
 
 use std::future::pending;
-use std::path::PathBuf;
 use std::time::Duration;
 
-use common::realtime;
+use common::{File, realtime};
 use tautline::{
     CallbackGroup, CallbackHandle, CallbackOptions, Context, Error, Node, Policy, SystemError, apply_system,
 };
@@ -16,26 +15,6 @@ use tautline_rt::{policy_of, set_policy_of};
 const DOMAIN: u32 = 98;
 
 /// One node of two callbacks on core 0.
-struct File(PathBuf);
-
-impl File {
-    fn new(name: &str, text: &str) -> File {
-        let path = std::env::temp_dir().join(format!("tautline-apply-{}-{name}.toml", std::process::id()));
-        std::fs::write(&path, text).unwrap();
-        File(path)
-    }
-
-    fn write(&self, text: &str) {
-        std::fs::write(&self.0, text).unwrap();
-    }
-}
-
-impl Drop for File {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_file(&self.0);
-    }
-}
-
 fn text(priority: u8, wcet: &str, more: &str) -> String {
     format!(
         "[hosts.robot]\ncores = [0]\n[nodes.driver]\n\
@@ -66,7 +45,7 @@ fn a_new_text_is_taken_up_by_what_runs_or_by_nobody() {
     tautline_rt::domain::set_scope(&format!("apply-{}", std::process::id())).unwrap();
     let file = File::new("text", &text(30, "2ms", ""));
     assert!(matches!(apply_system(DOMAIN, &file.0), Err(Error::NobodyHas { .. })));
-    let context = Context::builder().domain(DOMAIN).system(&file.0).build().unwrap();
+    let context = file.context(DOMAIN).unwrap();
     let (_node, fast, slow) = spawn(&context);
     let ms = Duration::from_millis;
     let now = || {
@@ -114,7 +93,7 @@ fn what_runs_besides_keeps_its_deadlines() {
     tautline_rt::domain::set_scope(&format!("apply-{}", std::process::id())).unwrap();
     let file = File::new("besides", &text(30, "2ms", ""));
     let other = Context::builder().domain(DOMAIN + 1).build().unwrap();
-    let context = Context::builder().domain(DOMAIN + 1).system(&file.0).build().unwrap();
+    let context = file.context(DOMAIN + 1).unwrap();
     let (_node, fast, _slow) = spawn(&context);
     let node = Node::create(other, "other", "").unwrap();
     let options = CallbackOptions::fifo(25).core(0).name("loose").period(Duration::from_millis(10));

@@ -77,6 +77,15 @@ fn spawn<P: Policy + Unpin + Send + 'static>(
     node.spawn_callback(CallbackOptions::other(), callback).unwrap()
 }
 
+/// Ends a callback when so many jobs have ended, which are all.
+fn end_after(callback: CallbackHandle, jobs: u64) {
+    let stats = callback.stats().clone();
+    eventually("the end of the last job", || stats.completions() == jobs);
+    callback.stop();
+    callback.join().unwrap();
+    assert_eq!((stats.releases(), stats.completions()), (jobs, jobs));
+}
+
 #[test]
 fn messages_of_two_topics_meet_by_their_headers() {
     static SETS: Log<(f64, f64)> = Log::new();
@@ -98,12 +107,8 @@ fn messages_of_two_topics_meet_by_their_headers() {
     let sets = SETS.wait_for(19);
     let expected: Vec<_> = (0..sets.len()).map(|i| (i as f64, i as f64)).collect();
     assert_eq!(sets, expected);
-    let stats = callback.stats().clone();
-    eventually("the end of the last job", || stats.completions() == 60);
-    callback.stop();
-    callback.join().unwrap();
     // Each message is a job, whether it completes a set or not.
-    assert_eq!((stats.releases(), stats.completions()), (60, 60));
+    end_after(callback, 60);
     assert_eq!(counters.inputs().iter().map(|input| input.received()).collect::<Vec<_>>(), [20, 40]);
     assert!(counters.inputs()[1].dropped() >= 18, "{counters:?}");
 }
@@ -126,11 +131,7 @@ fn a_set_within_a_tolerance_comes_with_its_last_message() {
     }
     let expected: Vec<_> = (0..20).map(|i| (f64::from(i), f64::from(i))).collect();
     assert_eq!(SETS.events(), expected);
-    let stats = callback.stats().clone();
-    eventually("the end of the last job", || stats.completions() == 60);
-    callback.stop();
-    callback.join().unwrap();
-    assert_eq!((stats.releases(), stats.completions()), (60, 60));
+    end_after(callback, 60);
     assert_eq!(counters.inputs().iter().map(|input| input.dropped()).collect::<Vec<_>>(), [0, 20]);
 }
 
@@ -169,12 +170,9 @@ fn the_newest_of_all_come_at_the_pace_of_the_fastest() {
     // A rate is known from an input's second message on; then each message of the fast one makes a set, and none of the slow one.
     let expected: Vec<_> = (1..12).map(|value| (value, 100 + (value - 1) / 3 * 3)).collect();
     assert_eq!(SETS.wait_for(expected.len()), expected);
-    let stats = each.stats().clone();
-    eventually("the end of the last job", || stats.completions() == 16);
-    each.stop();
-    each.join().unwrap();
     // A message of the slow one is a job, too.
-    assert_eq!((stats.releases(), stats.completions(), counters.sets()), (16, 16, 11));
+    end_after(each, 16);
+    assert_eq!(counters.sets(), 11);
 }
 
 #[test]

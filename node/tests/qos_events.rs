@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{Log, Number, context, realtime, run_again, spin};
+use common::{Log, Number, context, realtime, run_again, spin, spinning_node};
 use futures::executor::block_on;
 use futures::{Stream, StreamExt};
 use std::sync::Arc;
@@ -31,9 +31,7 @@ fn next_of<E, F>(events: &mut (impl Stream<Item = E> + Unpin), wanted: impl Fn(E
 
 #[test]
 fn both_ends_hear_of_a_match_of_what_does_not_fit_and_of_the_end() {
-    let context = context(200);
-    let _sampler = spin(&context);
-    let mut node = Node::create(context.clone(), "matches", "").unwrap();
+    let (mut node, _sampler) = spinning_node(200, "matches");
     let sensor = Qos::default().best_effort();
     let publisher = node.create_publisher::<Number>("/m", sensor).unwrap();
     let mut offered = node.publisher_events(&publisher).unwrap();
@@ -60,9 +58,7 @@ fn both_ends_hear_of_a_match_of_what_does_not_fit_and_of_the_end() {
 
 #[test]
 fn a_deadline_is_missed_once_for_each_period_at_both_ends() {
-    let context = context(200);
-    let _sampler = spin(&context);
-    let mut node = Node::create(context.clone(), "deadline", "").unwrap();
+    let (mut node, _sampler) = spinning_node(200, "deadline");
     let period_ns = 20 * MS;
     let qos = Qos::default().deadline(Duration::from_nanos(period_ns));
     let publisher = node.create_publisher::<Number>("/d", qos).unwrap();
@@ -99,9 +95,7 @@ fn a_deadline_is_missed_once_for_each_period_at_both_ends() {
 
 #[test]
 fn lost_messages_and_leases_are_told() {
-    let context = context(200);
-    let _sampler = spin(&context);
-    let mut node = Node::create(context.clone(), "lost", "").unwrap();
+    let (mut node, _sampler) = spinning_node(200, "lost");
     let lease = Duration::from_millis(20);
     let manual = Qos::keep_last(1).liveliness(Liveliness::ManualByTopic).liveliness_lease_duration(lease);
     let publisher = node.create_publisher::<Number>("/l", manual).unwrap();
@@ -138,9 +132,7 @@ fn lost_messages_and_leases_are_told() {
 /// One that nobody could keep is told of, and leaves the sampler time for others.
 #[test]
 fn a_deadline_of_no_time_does_not_keep_the_sampler_busy() {
-    let context = context(84);
-    let _sampler = spin(&context);
-    let mut node = Node::create(context.clone(), "hasty", "").unwrap();
+    let (mut node, _sampler) = spinning_node(84, "hasty");
     let qos = Qos::default().deadline(Duration::from_nanos(1));
     let publisher = node.create_publisher::<Number>("/h", qos).unwrap();
     let subscription = node.subscribe::<Number>("/h", qos).unwrap();
@@ -270,7 +262,7 @@ fn two_hundred_topics_at_100_hz_on_one_sampler() {
 fn liveliness_is_lost_after_kill_9_of_the_publisher() {
     // The child publishes, and is killed by itself.
     if std::env::var_os("TAUT_TEST_CHILD").is_some() {
-        let mut node = Node::create(common::context(118), "victim", "").unwrap();
+        let mut node = Node::create(context(118), "victim", "").unwrap();
         let _publisher = node.create_publisher::<Number>("/victim", Qos::default()).unwrap();
         let subscription = node.subscribe::<Number>("/go", Qos::default()).unwrap();
         while subscription.try_take().unwrap().is_none() {
@@ -278,9 +270,7 @@ fn liveliness_is_lost_after_kill_9_of_the_publisher() {
         }
         rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::KILL).unwrap();
     }
-    let context = common::context(118);
-    let _sampler = spin(&context);
-    let mut node = Node::create(context.clone(), "watcher", "").unwrap();
+    let (mut node, _sampler) = spinning_node(118, "watcher");
     let subscription = node.subscribe::<Number>("/victim", Qos::default()).unwrap();
     let mut events = node.subscription_events(&subscription).unwrap();
     let go = node.create_publisher::<Number>("/go", Qos::default().transient_local()).unwrap();

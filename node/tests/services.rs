@@ -7,19 +7,15 @@ mod common;
 
 use std::time::Duration;
 
-use common::{Log, context, spin};
+use common::{Log, context, spin, spinning_node};
 use futures::executor::block_on;
 use futures::future::join_all;
 use futures::{FutureExt, StreamExt};
 use tautline::example_interfaces::srv::AddTwoInts;
 use tautline::std_srvs::srv::SetBool;
-use tautline::{CallbackOptions, Context, Error, Node, Qos, ServiceError, ServiceRequest};
+use tautline::{CallbackOptions, Error, Node, Qos, ServiceError, ServiceRequest};
 
 const QOS: fn() -> Qos = Qos::default;
-
-fn node(ctx: &Context, name: &str) -> Node {
-    Node::create(ctx.clone(), name, "").unwrap()
-}
 
 /// Answers with the sum until it is dropped.
 fn serve(node: &mut Node, name: &str) -> tautline::CallbackHandle {
@@ -37,10 +33,8 @@ fn question(a: i64, b: i64) -> AddTwoInts::Request {
 
 #[test]
 fn several_clients_get_their_own_answers() {
-    let ctx = context(31);
-    let mut node = node(&ctx, "several");
+    let (mut node, _spinning) = spinning_node(31, "several");
     let _service = serve(&mut node, "several");
-    let _spinning = spin(&ctx);
     let clients: Vec<_> =
         (0..4).map(|_| node.create_client::<AddTwoInts::Service>("/several").unwrap()).collect();
     for round in 0..100 {
@@ -55,8 +49,7 @@ fn several_clients_get_their_own_answers() {
 #[test]
 fn a_request_goes_to_every_server_and_the_first_answer_counts() {
     static ASKED: Log<&str> = Log::new();
-    let ctx = context(34);
-    let mut node = node(&ctx, "servers");
+    let (mut node, _spinning) = spinning_node(34, "servers");
     for name in ["one", "other"] {
         let requests = node.create_service::<SetBool::Service>("both", QOS()).unwrap().owned();
         let answer = move |request: ServiceRequest<SetBool::Service>| async move {
@@ -66,7 +59,6 @@ fn a_request_goes_to_every_server_and_the_first_answer_counts() {
         node.spawn_callback(CallbackOptions::other().name(name), requests.for_each(answer)).unwrap();
     }
     let client = node.create_client::<SetBool::Service>("both").unwrap();
-    let _spinning = spin(&ctx);
     assert_eq!(client.server_count(), 2);
     for _ in 0..10 {
         let answer = block_on(client.request(&SetBool::Request { data: true }).unwrap()).unwrap();
@@ -80,11 +72,9 @@ fn a_request_goes_to_every_server_and_the_first_answer_counts() {
 #[test]
 fn in_place_both_ways_and_of_any_length() {
     use tautline::std_srvs::srv::SetBool::ResponseSizes;
-    let ctx = context(35);
-    let mut node = node(&ctx, "in_place");
+    let (mut node, _spinning) = spinning_node(35, "in_place");
     let mut service = node.create_service::<SetBool::Service>("place", QOS()).unwrap();
     let client = node.create_client::<SetBool::Service>("place").unwrap();
-    let _spinning = spin(&ctx);
     let long = "long ".repeat(10_000);
     let answer = long.clone();
     node.spawn_callback(CallbackOptions::other(), async move {
@@ -111,10 +101,8 @@ fn in_place_both_ways_and_of_any_length() {
 
 #[test]
 fn a_service_without_a_server_is_an_error_and_can_be_waited_for() {
-    let ctx = context(36);
-    let mut node = node(&ctx, "waiting");
+    let (mut node, _spinning) = spinning_node(36, "waiting");
     let client = node.create_client::<AddTwoInts::Service>("nobody").unwrap();
-    let _spinning = spin(&ctx);
     let error = client.request(&question(1, 2)).unwrap_err();
     assert!(matches!(error, Error::Service(ServiceError::NoServer { .. })), "{error}");
     assert!(
@@ -134,10 +122,8 @@ fn a_service_without_a_server_is_an_error_and_can_be_waited_for() {
 
 #[test]
 fn a_server_that_ends_ends_its_requests() {
-    let ctx = context(37);
-    let mut node = node(&ctx, "ending");
+    let (mut node, _spinning) = spinning_node(37, "ending");
     let client = node.create_client::<AddTwoInts::Service>("ending").unwrap();
-    let _spinning = spin(&ctx);
     let mut requests = node.create_service::<AddTwoInts::Service>("ending", QOS()).unwrap().owned();
     // Connected: what was answered comes before the end, although nobody takes it meanwhile.
     let first = client.request(&question(0, 0)).unwrap();
@@ -161,10 +147,8 @@ fn a_server_that_ends_ends_its_requests() {
 
 #[test]
 fn another_server_that_got_the_request_may_still_answer() {
-    let ctx = context(38);
-    let mut node = node(&ctx, "surviving");
+    let (mut node, _spinning) = spinning_node(38, "surviving");
     let client = node.create_client::<AddTwoInts::Service>("surviving").unwrap();
-    let _spinning = spin(&ctx);
     let first = node.create_service::<AddTwoInts::Service>("surviving", QOS()).unwrap().owned();
     let second = node.create_service::<AddTwoInts::Service>("surviving", QOS()).unwrap().owned();
     let answer = client.request(&question(1, 2)).unwrap();
@@ -182,7 +166,7 @@ fn another_server_that_got_the_request_may_still_answer() {
 #[test]
 fn time_outs_and_requests_that_are_dropped() {
     let ctx = context(39);
-    let mut node = node(&ctx, "slow");
+    let mut node = Node::create(ctx.clone(), "slow", "").unwrap();
     let client = node.create_client::<AddTwoInts::Service>("slow").unwrap();
     let mut requests =
         node.create_service::<AddTwoInts::Service>("slow", Qos::keep_last(100)).unwrap().owned();
@@ -209,11 +193,9 @@ fn time_outs_and_requests_that_are_dropped() {
 
 #[test]
 fn full_queues_are_errors_and_lose_nothing() {
-    let ctx = context(41);
-    let mut node = node(&ctx, "full");
+    let (mut node, _spinning) = spinning_node(41, "full");
     let client = node.create_client::<AddTwoInts::Service>("full").unwrap();
     let mut requests = node.create_service::<AddTwoInts::Service>("full", Qos::keep_last(3)).unwrap().owned();
-    let _spinning = spin(&ctx);
     let ask = |a| {
         let mut request = client.loan().unwrap();
         (request.a, request.b) = (a, 0);
@@ -240,12 +222,10 @@ fn full_queues_are_errors_and_lose_nothing() {
 
 #[test]
 fn more_pending_requests_than_a_client_can_have() {
-    let ctx = context(43);
-    let mut node = node(&ctx, "many");
+    let (mut node, _spinning) = spinning_node(43, "many");
     let mut requests =
         node.create_service::<AddTwoInts::Service>("many", Qos::keep_last(100)).unwrap().owned();
     let client = node.create_client::<AddTwoInts::Service>("many").unwrap();
-    let _spinning = spin(&ctx);
     let mut answers: Vec<_> =
         (0..tautline::MAX_PENDING_REQUESTS).map(|_| client.request(&question(1, 1)).unwrap()).collect();
     let error = client.request(&question(1, 1)).unwrap_err();
@@ -265,8 +245,7 @@ fn more_pending_requests_than_a_client_can_have() {
 
 #[test]
 fn another_type_is_another_service() {
-    let ctx = context(44);
-    let mut node = node(&ctx, "types");
+    let mut node = Node::create(context(44), "types", "").unwrap();
     let _requests = node.create_service::<AddTwoInts::Service>("typed", QOS()).unwrap();
     let client = node.create_client::<SetBool::Service>("typed").unwrap();
     let error = client.request(&SetBool::Request { data: true }).map(drop).unwrap_err().to_string();
@@ -280,12 +259,10 @@ fn another_type_is_another_service() {
 
 #[test]
 fn answers_come_from_any_thread_and_in_any_order() {
-    let ctx = context(46);
-    let mut node = node(&ctx, "threads");
+    let (mut node, _spinning) = spinning_node(46, "threads");
     let requests =
         node.create_service::<AddTwoInts::Service>("threads", Qos::keep_last(100)).unwrap().owned();
     let client = std::sync::Mutex::new(node.create_client::<AddTwoInts::Service>("threads").unwrap());
-    let _spinning = spin(&ctx);
     std::thread::scope(|scope| {
         scope.spawn(|| {
             let mut requests = requests;
@@ -321,10 +298,8 @@ fn answers_come_from_any_thread_and_in_any_order() {
 
 #[test]
 fn a_client_that_goes_is_forgotten() {
-    let ctx = context(47);
-    let mut node = node(&ctx, "leaving");
+    let (mut node, _spinning) = spinning_node(47, "leaving");
     let mut service = node.create_service::<AddTwoInts::Service>("leaving", QOS()).unwrap().owned();
-    let _spinning = spin(&ctx);
     // More than the service can have at once.
     for n in 0..40 {
         let client = node.create_client::<AddTwoInts::Service>("leaving").unwrap();
@@ -347,10 +322,8 @@ fn a_client_that_goes_is_forgotten() {
 fn json_to_a_typed_server_and_a_typed_client_to_a_json_server() {
     use serde_json::json;
     use tautline::{Json, ServiceRequest};
-    let ctx = context(52);
-    let mut node = node(&ctx, "json");
+    let (mut node, _spinning) = spinning_node(52, "json");
     let _service = serve(&mut node, "sum");
-    let _spinning = spin(&ctx);
     let client = node.create_client_untyped("sum", "example_interfaces/srv/AddTwoInts").unwrap();
     let sum = block_on(client.request(&Json(json!({ "a": 40, "b": 2 }))).unwrap()).unwrap().unwrap();
     assert_eq!(sum, json!({ "sum": 42 }));
@@ -375,10 +348,8 @@ fn json_to_a_typed_server_and_a_typed_client_to_a_json_server() {
 fn json_is_read_and_answered_in_place() {
     use serde_json::json;
     use tautline::Json;
-    let ctx = context(52);
-    let mut node = node(&ctx, "place_of_json");
+    let (mut node, _spinning) = spinning_node(52, "place_of_json");
     let mut server = node.create_service_untyped("json_in_place", "std_srvs/srv/SetBool", QOS()).unwrap();
-    let _spinning = spin(&ctx);
     let serve = async move {
         while let Some(request) = server.next().await {
             assert_eq!(request.message().view(), [1], "the body of the request's CDR");

@@ -5,7 +5,7 @@ mod common;
 
 use std::path::PathBuf;
 
-use common::{Log, Number, run_again, spin};
+use common::{File, Log, Number, run_again, spin};
 use futures::StreamExt;
 use tautline::{CallbackGroup, Context, Node, Qos, Realtime};
 use tautline_executor::{CallbackSnapshot, MomentKind, ProcessSnapshot};
@@ -41,11 +41,9 @@ group = "together"
 "#;
 
 fn context(domain: u32, name: &str) -> (Context, PathBuf) {
-    let path = std::env::temp_dir().join(format!("tautline-{}-{name}.toml", std::process::id()));
-    std::fs::write(&path, SYSTEM).unwrap();
-    let context = Context::builder().domain(domain).realtime(Realtime::Off).system(&path).build().unwrap();
-    std::fs::remove_file(&path).unwrap();
-    (context, path)
+    let file = File::new(name, SYSTEM);
+    let context = Context::builder().domain(domain).realtime(Realtime::Off).system(&file.0).build().unwrap();
+    (context, file.0.clone())
 }
 
 fn snapshots(domain: u32) -> Vec<ProcessSnapshot> {
@@ -130,11 +128,10 @@ fn what_callbacks_do_is_seen_from_outside() {
 #[test]
 fn late_jobs_are_kept_with_their_instants() {
     static DONE: Log<u64> = Log::new();
-    let path = std::env::temp_dir().join(format!("tautline-{}-accounted.toml", std::process::id()));
-    std::fs::write(&path, SYSTEM).unwrap();
-    let builder = Context::builder().domain(ACCOUNTED).realtime(Realtime::Off).system(&path);
+    let file = File::new("accounted", SYSTEM);
+    let builder = Context::builder().domain(ACCOUNTED).realtime(Realtime::Off).system(&file.0);
     let context = builder.account_core_time(Some(std::time::Duration::from_millis(1))).build().unwrap();
-    std::fs::remove_file(&path).unwrap();
+    drop(file);
     let mut node = Node::create(context.clone(), "driver", "").unwrap();
     let numbers = node.subscribe::<Number>("/n", Qos::keep_last(2)).unwrap();
     let publisher = node.create_publisher::<Number>("/n", Qos::default()).unwrap();

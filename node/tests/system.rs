@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The system file at run time: callbacks get the priorities, cores and capacities that were computed.
 
-use std::path::PathBuf;
+mod common;
+
+use common::File;
 use std::time::Duration;
 use tautline::{Context, CoreSet, Error, Node, Policy, Realtime, SystemError};
 
@@ -36,22 +38,6 @@ wcet = "1ms"
 priority = 10
 deadline = "500ms"
 "#;
-
-struct File(PathBuf);
-
-impl File {
-    fn new(name: &str, text: &str) -> Self {
-        let path = std::env::temp_dir().join(format!("tautline-{}-{name}.toml", std::process::id()));
-        std::fs::write(&path, text).unwrap();
-        File(path)
-    }
-}
-
-impl Drop for File {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_file(&self.0);
-    }
-}
 
 fn context(file: &File) -> Result<Context, Error> {
     Context::builder().domain(DOMAIN).realtime(Realtime::Off).system(&file.0).build()

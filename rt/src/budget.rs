@@ -537,7 +537,7 @@ extern "C" fn fired(_: libc::c_int) {
 mod tests {
     use super::*;
     use crate::clock::{burn_cpu, monotonic_ns, sleep_until_monotonic, test_time};
-    use crate::permission::realtime_permitted;
+    use crate::permission::{realtime_permitted, test_needs};
     use crate::{Realtime, ThreadBuilder, current_policy, prove_enforcement_by};
     use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -587,14 +587,8 @@ mod tests {
     /// To one test at a time: how budgets are enforced is the process's.
     fn permitted() -> Option<MutexGuard<'static, ()>> {
         static ALONE: Mutex<()> = Mutex::new(());
-        match realtime_permitted(10) {
-            Ok(()) => Some(ALONE.lock().unwrap_or_else(PoisonError::into_inner)),
-            Err(error) if std::env::var_os("CI").is_some() => panic!("{error}"),
-            Err(error) => {
-                println!("skipped: {error}");
-                None
-            }
-        }
+        let permitted = test_needs(realtime_permitted(10));
+        permitted.map(|()| ALONE.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
     #[test]

@@ -15,13 +15,13 @@
 
 use std::io;
 use std::marker::PhantomData;
-use std::mem::MaybeUninit;
 use std::os::fd::OwnedFd;
 
 use rustix::fs::{Mode, OFlags};
 
 use crate::RtError;
 use crate::clock::{monotonic_ns, thread_cpu_ns};
+use crate::memory::thread_usage;
 
 /// Reads the current thread's time account. Each thread creates its own.
 ///
@@ -135,13 +135,7 @@ impl CoreMark {
 
 /// How often the current thread has gone to sleep by itself.
 fn sleeps() -> u64 {
-    let mut usage = MaybeUninit::<libc::rusage>::zeroed();
-    // SAFETY: `usage` is writable for a whole rusage; all-zero bytes are a valid one, should the call fail.
-    let usage = unsafe {
-        libc::getrusage(libc::RUSAGE_THREAD, usage.as_mut_ptr());
-        usage.assume_init()
-    };
-    usage.ru_nvcsw.cast_unsigned()
+    thread_usage().ru_nvcsw.cast_unsigned()
 }
 
 fn second_number(text: &[u8]) -> Option<u64> {

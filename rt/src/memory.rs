@@ -104,13 +104,18 @@ fn set_malloc(options: &[(libc::c_int, libc::c_int)]) -> bool {
 
 /// The page faults of the current thread since it started.
 pub fn page_faults() -> PageFaults {
+    let usage = thread_usage();
+    PageFaults { minor: usage.ru_minflt.cast_unsigned(), major: usage.ru_majflt.cast_unsigned() }
+}
+
+/// What the kernel has counted of the current thread since it started; zeros if it does not say.
+pub(crate) fn thread_usage() -> libc::rusage {
     let mut usage = MaybeUninit::<libc::rusage>::zeroed();
     // SAFETY: `usage` is writable for a whole rusage; all-zero bytes are a valid one, should the call fail.
-    let usage = unsafe {
+    unsafe {
         libc::getrusage(libc::RUSAGE_THREAD, usage.as_mut_ptr());
         usage.assume_init()
-    };
-    PageFaults { minor: usage.ru_minflt.cast_unsigned(), major: usage.ru_majflt.cast_unsigned() }
+    }
 }
 
 /// Has the kernel bring in all pages of the current thread's stack from `end` up to that of `here`, without a fault for

@@ -17,6 +17,19 @@ pub fn realtime_permitted(priority: u8) -> Result<(), RtError> {
     ThreadBuilder::new("rt-probe").policy(Policy::Fifo(priority)).spawn(|| || ())?.join()
 }
 
+/// What a test needs of the machine, such as [`realtime_permitted`]; `None` if it is not there: the test is skipped, which is printed.
+///
+/// # Panics
+/// If it is not there and `CI` is set.
+#[doc(hidden)]
+pub fn test_needs<T>(needed: Result<T, impl std::fmt::Display>) -> Option<T> {
+    let there = needed.inspect_err(|missing| {
+        assert!(std::env::var_os("CI").is_none(), "{missing}");
+        println!("skipped: {missing}");
+    });
+    there.ok()
+}
+
 /// The reason why the kernel would return EPERM for `SCHED_FIFO` or `SCHED_RR` at `priority`: checks privilege
 /// first, then the user's limit, then the cpu cgroup. Meaningful only after such an error.
 pub fn diagnose(priority: u8) -> RtError {

@@ -3,22 +3,15 @@
 
 use std::sync::mpsc;
 
+use tautline_rt::permission::{realtime_permitted, test_needs};
 use tautline_rt::{
     CoreSet, Policy, Realtime, RtError, ThreadBuilder, clock, current_affinity, current_policy, current_tid,
-    page_faults, permission::realtime_permitted, policy_of, set_affinity, set_affinity_of, set_policy,
-    set_policy_of, threads,
+    page_faults, policy_of, set_affinity, set_affinity_of, set_policy, set_policy_of, threads,
 };
 
 /// Real-time tests need the privilege; with CI set they must run.
 fn realtime() -> bool {
-    match realtime_permitted(20) {
-        Ok(()) => true,
-        Err(error) if std::env::var_os("CI").is_some() => panic!("{error}"),
-        Err(error) => {
-            println!("skipped: {error}");
-            false
-        }
-    }
+    test_needs(realtime_permitted(20)).is_some()
 }
 
 /// Each policy change happens on a thread of its own, so that tests do not disturb each other.

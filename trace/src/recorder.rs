@@ -136,10 +136,7 @@ impl Recorder {
             self.scan(sink);
             self.next_scan = Instant::now() + Self::SCAN_PERIOD;
         }
-        for peer in self.processes.values_mut() {
-            peer.fetch(sink);
-        }
-        self.remove_dead(sink);
+        self.fetch(sink);
     }
 
     /// Makes every process stop recording, waits until they have stopped, at most two seconds, and fetches the
@@ -151,15 +148,9 @@ impl Recorder {
         self.scan(sink);
         while self.processes.values().any(Peer::is_recording) && start.elapsed() < PATIENCE {
             std::thread::sleep(Duration::from_millis(5));
-            for peer in self.processes.values_mut() {
-                peer.fetch(sink);
-            }
-            self.remove_dead(sink);
+            self.fetch(sink);
         }
-        for peer in self.processes.values_mut() {
-            peer.fetch(sink);
-        }
-        self.remove_dead(sink);
+        self.fetch(sink);
     }
 
     /// How many processes are being recorded now.
@@ -170,6 +161,14 @@ impl Recorder {
     /// Files of this domain that could not be read, with the reason; each is reported once.
     pub fn complaints(&mut self) -> Vec<String> {
         std::mem::take(&mut self.complaints)
+    }
+
+    /// Fetches what each process has recorded. Those that have ended are removed.
+    fn fetch(&mut self, sink: &mut impl FnMut(Record<'_>)) {
+        for peer in self.processes.values_mut() {
+            peer.fetch(sink);
+        }
+        self.remove_dead(sink);
     }
 
     fn scan(&mut self, sink: &mut impl FnMut(Record<'_>)) {

@@ -4,8 +4,10 @@
 mod support;
 
 use std::time::{Duration, Instant};
-use support::{Count, Part, claimed, clean, domain, say, take_all, wait_for, wait_for_the_end};
-use tautline_transport::{Limits, Participant, Publisher, Qos};
+use support::{
+    Count, Part, claimed, clean, domain, publisher, say, subscription, take_all, wait_for, wait_for_the_end,
+};
+use tautline_transport::{Participant, Publisher, Qos, Subscription};
 
 const DOMAIN: u32 = 192;
 const DOMAIN_OF_STOPPED: u32 = 130;
@@ -13,17 +15,19 @@ const STOPPED: &str = "/ended/stopped";
 /// To the one that was stopped.
 const SENT: u64 = 62;
 
+/// Both ends of a topic; they keep their participant.
+fn ends(topic: &str, qos: Qos) -> (Subscription<Count>, Publisher<Count>) {
+    let participant = Participant::new(domain(DOMAIN)).unwrap();
+    (subscription(&participant, topic, qos), publisher(&participant, topic, qos))
+}
+
 fn publish(publisher: &Publisher<Count>, numbers: std::ops::RangeInclusive<u64>) {
     numbers.for_each(|n| publisher.publish(&Count { n }).unwrap());
 }
 
 #[test]
 fn what_was_sent_before_the_first_take_by_one_that_has_gone_is_counted() {
-    let participant = Participant::new(domain(DOMAIN)).unwrap();
-    let topic = "/ended/first";
-    let subscription =
-        participant.create_subscription::<Count>(topic, Qos::default(), Limits::default()).unwrap();
-    let publisher = participant.create_publisher::<Count>(topic, Qos::default(), Limits::default()).unwrap();
+    let (subscription, publisher) = ends("/ended/first", Qos::default());
     publish(&publisher, 1..=3);
     drop(publisher);
     let received = take_all(&subscription).len() as u64;
@@ -35,11 +39,7 @@ fn what_was_sent_before_the_first_take_by_one_that_has_gone_is_counted() {
 
 #[test]
 fn what_is_queued_when_it_ends_is_received() {
-    let participant = Participant::new(domain(DOMAIN)).unwrap();
-    let topic = "/ended/queued";
-    let subscription =
-        participant.create_subscription::<Count>(topic, Qos::default(), Limits::default()).unwrap();
-    let publisher = participant.create_publisher::<Count>(topic, Qos::default(), Limits::default()).unwrap();
+    let (subscription, publisher) = ends("/ended/queued", Qos::default());
     assert_eq!(take_all(&subscription), [0_u64; 0], "connects");
     publish(&publisher, 1..=3);
     drop(publisher);
@@ -49,11 +49,7 @@ fn what_is_queued_when_it_ends_is_received() {
 
 #[test]
 fn what_it_overwrote_before_it_ended_is_counted() {
-    let participant = Participant::new(domain(DOMAIN)).unwrap();
-    let topic = "/ended/overwritten";
-    let qos = Qos::keep_last(2);
-    let subscription = participant.create_subscription::<Count>(topic, qos, Limits::default()).unwrap();
-    let publisher = participant.create_publisher::<Count>(topic, qos, Limits::default()).unwrap();
+    let (subscription, publisher) = ends("/ended/overwritten", Qos::keep_last(2));
     assert_eq!(take_all(&subscription), [0_u64; 0]);
     publish(&publisher, 1..=5);
     drop(publisher);
@@ -65,12 +61,10 @@ fn what_it_overwrote_before_it_ended_is_counted() {
 fn two_hundred_publishers_come_and_go() {
     let participant = Participant::new(domain(DOMAIN)).unwrap();
     let topic = "/ended/many";
-    let subscription =
-        participant.create_subscription::<Count>(topic, Qos::default(), Limits::default()).unwrap();
+    let subscription = subscription(&participant, topic, Qos::default());
     let (mut received, rounds) = (0, 200);
     for round in 0..rounds {
-        let publisher =
-            participant.create_publisher::<Count>(topic, Qos::default(), Limits::default()).unwrap();
+        let publisher = publisher(&participant, topic, Qos::default());
         if round % 2 == 0 {
             received += take_all(&subscription).len() as u64;
         }
@@ -86,8 +80,7 @@ fn two_hundred_publishers_come_and_go() {
 fn child_main() {
     let Some((_, domain)) = support::part() else { return };
     let participant = Participant::new(domain).unwrap();
-    let subscription =
-        participant.create_subscription::<Count>(STOPPED, Qos::default(), Limits::default()).unwrap();
+    let subscription = subscription(&participant, STOPPED, Qos::default());
     say("ready");
     let mut taken = Vec::new();
     // Messages of different publishers have no order: the last one sent may come before others.
@@ -108,9 +101,7 @@ fn what_was_sent_by_one_that_was_never_seen_is_received() {
     let domain = domain(DOMAIN_OF_STOPPED);
     clean(domain);
     let participant = Participant::new(domain).unwrap();
-    let create = |participant: &Participant| {
-        participant.create_publisher::<Count>(STOPPED, Qos::default(), Limits::default()).unwrap()
-    };
+    let create = |participant: &Participant| publisher(participant, STOPPED, Qos::default());
     let mut part = Part::start("stopped", domain);
     part.hear();
     let before = claimed(domain);
@@ -121,9 +112,7 @@ fn what_was_sent_by_one_that_was_never_seen_is_received() {
     // Much happens before the one that was stopped goes on: the warden waits for it.
     let start = Instant::now();
     while start.elapsed() < Duration::from_millis(300) {
-        let elsewhere =
-            participant.create_publisher::<Count>("/ended/elsewhere", Qos::default(), Limits::default());
-        drop(elsewhere.unwrap());
+        drop(publisher(&participant, "/ended/elsewhere", Qos::default()));
     }
     for n in 1..=60 {
         let publisher = create(&participant);
@@ -146,9 +135,8 @@ fn what_was_sent_by_one_that_was_never_seen_is_received() {
 fn one_that_lives_on_is_remembered_however_many_come_and_go() {
     let participant = Participant::new(domain(DOMAIN)).unwrap();
     let topic = "/ended/remembered";
-    let subscription =
-        participant.create_subscription::<Count>(topic, Qos::default(), Limits::default()).unwrap();
-    let create = || participant.create_publisher::<Count>(topic, Qos::default(), Limits::default()).unwrap();
+    let subscription = subscription(&participant, topic, Qos::default());
+    let create = || publisher(&participant, topic, Qos::default());
     let lives = create();
     for n in 1..=100 {
         publish(&lives, n..=n);

@@ -10,8 +10,8 @@ use std::fs::File;
 use std::io::Write;
 use std::os::fd::AsRawFd;
 use support::{
-    Count, IMAGE_BYTES, Image, Part, clean, domain, folder, participants, say, shared_memory, take_all,
-    wait_for, wait_for_some, wait_for_the_end,
+    Count, IMAGE_BYTES, Image, Part, clean, domain, folder, participants, publisher, say, shared_memory,
+    subscription, take_all, wait_for, wait_for_some, wait_for_the_end,
 };
 use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{
@@ -39,14 +39,6 @@ fn child_main() {
         }
         other => panic!("no part {other}"),
     }
-}
-
-fn publisher(participant: &Participant, topic: &str, qos: Qos) -> Publisher<Count> {
-    participant.create_publisher(topic, qos, Limits::default()).unwrap()
-}
-
-fn subscription(participant: &Participant, topic: &str, qos: Qos) -> Subscription<Count> {
-    participant.create_subscription(topic, qos, Limits::default()).unwrap()
 }
 
 /// The topics that have publishers or subscriptions, each once.
@@ -422,14 +414,7 @@ fn faults() -> i64 {
 const MESSAGE_BYTES: usize = 50_000;
 const DEPTH: usize = 7;
 const HELD: usize = 5;
-const LIMITS: Limits = Limits {
-    held: HELD,
-    loans: 2,
-    message_bytes: MESSAGE_BYTES,
-    may_grow: true,
-    claim: Claim::Ahead,
-    spare_bytes: 0,
-};
+const LIMITS: Limits = Limits { held: HELD, loans: 2, message_bytes: MESSAGE_BYTES, ..support::LIMITS };
 
 fn no_faults(domain: u32) {
     let text = TopicType::new(TEXT);

@@ -12,11 +12,11 @@ fn kept(depth: usize) -> Qos {
 }
 
 fn publisher(participant: &Participant, depth: usize) -> Publisher<Count> {
-    participant.create_publisher("/late", kept(depth), Limits::default()).unwrap()
+    support::publisher(participant, "/late", kept(depth))
 }
 
 fn subscription(participant: &Participant, depth: usize) -> Subscription<Count> {
-    participant.create_subscription("/late", kept(depth), Limits::default()).unwrap()
+    support::subscription(participant, "/late", kept(depth))
 }
 
 fn publish(publisher: &Publisher<Count>, numbers: impl IntoIterator<Item = u64>) {
@@ -206,12 +206,10 @@ fn a_history_is_held_in_place_as_well() {
 fn volatile_ends_get_nothing_old() {
     let participant = Participant::new(domain(156)).unwrap();
     let keeper = publisher(&participant, 3);
-    let volatile =
-        participant.create_publisher::<Count>("/late", Qos::keep_last(3), Limits::default()).unwrap();
+    let volatile = support::publisher(&participant, "/late", Qos::keep_last(3));
     publish(&volatile, 1..=3);
     publish(&keeper, 101..=103);
-    let plain =
-        participant.create_subscription::<Count>("/late", Qos::keep_last(3), Limits::default()).unwrap();
+    let plain = support::subscription(&participant, "/late", Qos::keep_last(3));
     let joiner = subscription(&participant, 3);
     assert_eq!(take_until(&joiner, 103), [101, 102, 103]);
     publish(&volatile, [4]);

@@ -9,14 +9,8 @@ use tautline_transport::{Claim, Limits, Participant, Qos, TopicType, TransportEr
 
 const MIB: u64 = 1 << 20;
 /// For a topic of images.
-const FEW: Limits = Limits {
-    held: 1,
-    loans: 1,
-    message_bytes: 4096,
-    may_grow: true,
-    claim: Claim::Ahead,
-    spare_bytes: 8 << 20,
-};
+const FEW: Limits = Limits { held: 1, loans: 1, spare_bytes: 8 << 20, ..support::LIMITS };
+
 /// Each of a publisher's segments begins with a page, and there are the queues of its subscriptions.
 fn margin() -> u64 {
     64 * page_bytes()

@@ -23,14 +23,7 @@ const POINTS: usize = 100_000;
 const POINT_BYTES: usize = 16;
 const PIXELS: usize = 8 << 20;
 const FRAME: &str = "sensor";
-const LIMITS: Limits = Limits {
-    held: 4,
-    loans: 2,
-    message_bytes: 4096,
-    may_grow: true,
-    claim: tautline_transport::Claim::Ahead,
-    spare_bytes: 0,
-};
+const LIMITS: Limits = Limits { loans: 2, ..support::LIMITS };
 
 fn header() -> HeaderSizes {
     HeaderSizes { frame_id: FRAME.len() }

@@ -4,8 +4,10 @@
 
 mod support;
 
-use support::{Count, Part, clean, participants, say, shared_memory, wait_for, wait_for_the_end};
-use tautline_transport::{Limits, Participant, Qos, graph_of};
+use support::{
+    Count, Part, clean, participants, publisher, say, shared_memory, subscription, wait_for, wait_for_the_end,
+};
+use tautline_transport::{Participant, Qos, graph_of};
 
 /// What makes the namespaces. Their processes end with it.
 const KINDS: [&[&str]; 3] = [
@@ -34,8 +36,8 @@ fn child_main() {
     let participant = Participant::new(domain).unwrap();
     let node = participant.create_node(&part, "/").unwrap();
     let of_node = participant.for_node(&node);
-    let back = of_node.create_publisher::<Count>("/back", Qos::keep_all(10), Limits::default()).unwrap();
-    let there = of_node.create_subscription::<Count>("/there", Qos::keep_all(10), Limits::default()).unwrap();
+    let back = publisher(&of_node, "/back", Qos::keep_all(10));
+    let there = subscription(&of_node, "/there", Qos::keep_all(10));
     say("ready");
     if part == "resident" {
         return wait_for_the_end();
@@ -62,9 +64,8 @@ fn messages_cross_namespaces_and_the_dead_are_noticed() {
     for kind in KINDS {
         println!("{kind:?}");
         let participant = Participant::new(domain).unwrap();
-        let there = participant.create_publisher::<Count>("/there", Qos::keep_all(10), Limits::default());
-        let back = participant.create_subscription::<Count>("/back", Qos::keep_all(10), Limits::default());
-        let (there, back) = (there.unwrap(), back.unwrap());
+        let there = publisher(&participant, "/there", Qos::keep_all(10));
+        let back = subscription(&participant, "/back", Qos::keep_all(10));
         let mut echo = Part::start_by(kind, "echo", domain);
         assert_eq!(echo.hear(), "ready");
         wait_for("the other end", || there.subscription_count() == 1 && back.publisher_count() == 1);

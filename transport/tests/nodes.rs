@@ -9,7 +9,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::{Context, Poll, Waker};
 use std::time::Duration;
-use support::{Count, Part, clean, domain, participants, say, wait_for, wait_for_the_end};
+use support::{
+    Count, Part, clean, domain, participants, publisher, say, subscription, wait_for, wait_for_the_end,
+};
 use tautline_transport::{
     EndpointKind, Gid, GraphSnapshot, Limits, NodeInfo, NodeName, Origin, Participant, Publisher, Qos, Rank,
     RawClient, RawServer, RemoteGraph, RemoteNode, ServiceEndpoint, ServiceKind, ServiceType, TopicEndpoint,
@@ -25,9 +27,7 @@ fn child_main() {
         "node" => {
             let node = participant.create_node("child", "/robot").unwrap();
             let of_node = participant.for_node(&node);
-            let _publisher = of_node
-                .create_publisher::<Count>("/count", Qos::keep_last(7).best_effort(), Limits::default())
-                .unwrap();
+            let _publisher = publisher(&of_node, "/count", Qos::keep_last(7).best_effort());
             let _server = server(&of_node, None);
             say("ready");
             wait_for_the_end();
@@ -38,10 +38,7 @@ fn child_main() {
             let parent = rustix::process::getppid();
             while rustix::process::getppid() == parent {
                 let node = participant.create_node("coming", "/").unwrap();
-                let _publisher = participant
-                    .for_node(&node)
-                    .create_publisher::<Count>("/coming", Qos::default(), Limits::default())
-                    .unwrap();
+                let _publisher = publisher(&participant.for_node(&node), "/coming", Qos::default());
             }
         }
         other => panic!("no part {other}"),
@@ -90,9 +87,8 @@ fn nodes_and_what_is_theirs_are_seen_until_they_end() {
     assert!(observer.graph().unwrap().endpoints.is_empty());
 
     let of_node = participant.for_node(&node);
-    let subscription =
-        of_node.create_subscription::<Count>("/count", Qos::keep_last(3), Limits::default()).unwrap();
-    let loose = participant.create_publisher::<Count>("/count", Qos::default(), Limits::default()).unwrap();
+    let subscription = subscription(&of_node, "/count", Qos::keep_last(3));
+    let loose = publisher(&participant, "/count", Qos::default());
     let graph = observer.graph().unwrap();
     let [publisher, found] = graph.endpoints.as_slice() else { panic!("{graph:?}") };
     assert_eq!(
@@ -305,8 +301,7 @@ fn who_tells_others_hears_what_has_ended() {
     let domain = domain(89);
     clean(domain);
     let [gateway, part] = [(); 2].map(|()| Participant::new(domain).unwrap());
-    let publisher =
-        |of: &Participant| of.create_publisher::<Count>("/x", Qos::default(), Limits::default()).unwrap();
+    let publisher = |of: &Participant| publisher(of, "/x", Qos::default());
     let tag = |of: &Publisher<Count>| of.gid().tag();
     let (first, second) = (publisher(&part), publisher(&part));
     assert!(gateway.graph().unwrap().ended.is_empty());

@@ -4,11 +4,11 @@
 mod support;
 
 use std::collections::BTreeMap;
-use support::{Count, Part, clean, domain, folder, say, wait_for, wait_for_the_end};
+use support::{Count, Part, clean, domain, folder, publisher, say, subscription, wait_for, wait_for_the_end};
 use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{
-    EndpointKind, Gid, Limits, Participant, Publisher, Qos, RawSubscription, Sent, TakeError, TopicEndpoint,
-    TopicType, Visitor,
+    EndpointKind, Gid, Limits, Participant, Qos, RawSubscription, Sent, TakeError, TopicEndpoint, TopicType,
+    Visitor,
 };
 
 /// The child's part; without its variable it is no test.
@@ -21,10 +21,6 @@ fn child_main() {
     publisher.publish(&Count { n: 1 }).unwrap();
     say("ready");
     wait_for_the_end();
-}
-
-fn publisher(participant: &Participant, topic: &str, qos: Qos) -> Publisher<Count> {
-    participant.create_publisher(topic, qos, Limits::default()).unwrap()
 }
 
 fn observer(participant: &Participant, topic: &str, depth: usize) -> RawSubscription {
@@ -123,8 +119,7 @@ fn what_publishers_send_can_be_read_without_a_subscription() {
     let bytes = participant
         .create_raw_publisher("/counted", &TopicType::new("demo/msg/Text"), Qos::default(), Limits::default())
         .unwrap();
-    let subscription =
-        participant.create_subscription::<Count>("/counted", Qos::default(), Limits::default()).unwrap();
+    let subscription = subscription(&participant, "/counted", Qos::default());
     let ends = of_topic(&mut visitor, "/counted");
     assert_eq!(ends.len(), 3);
     let mut sent = |gid| visitor.sent(&ends[&gid]).unwrap();

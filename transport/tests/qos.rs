@@ -7,23 +7,15 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::task::{Context, Poll, Wake, Waker};
 use std::time::Duration;
-use support::{Count, Part, clean, domain, say, take_all, wait_for, wait_for_the_end};
+use support::{Count, LIMITS, Part, clean, domain, say, take_all, wait_for, wait_for_the_end};
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_transport::{
-    EndpointKind, Gid, IncompatibleQos, Limits, Liveliness, LivelinessChanged, Matched, MessageInfo,
-    MessageLost, NodeName, Origin, Participant, Publisher, Qos, QosPolicyKind, RemoteGraph, Subscription,
-    TopicEndpoint, TopicType,
+    EndpointKind, Gid, IncompatibleQos, Liveliness, LivelinessChanged, Matched, MessageInfo, MessageLost,
+    NodeName, Origin, Participant, Publisher, Qos, QosPolicyKind, RemoteGraph, Subscription, TopicEndpoint,
+    TopicType,
 };
 
 const HOUR: Option<Duration> = Some(Duration::from_secs(3600));
-const LIMITS: Limits = Limits {
-    held: 4,
-    loans: 4,
-    message_bytes: 4096,
-    may_grow: true,
-    claim: tautline_transport::Claim::Ahead,
-    spare_bytes: 0,
-};
 
 /// How often a task was woken.
 #[derive(Default)]

@@ -5,21 +5,13 @@ mod support;
 
 use std::time::Duration;
 use support::{
-    Count, IMAGE_BYTES, Image, Part, clean, domain, place_of, say, take_all, wait_for, wait_for_some,
+    Count, IMAGE_BYTES, Image, LIMITS, Part, clean, domain, place_of, say, take_all, wait_for, wait_for_some,
     wait_for_the_end,
 };
 use tautline_msgs::Message;
 use tautline_transport::{
-    Limits, LoanError, Participant, PublishError, Qos, SendError, TakeError, TopicType, TransportError,
-};
-
-const DEFAULT: Limits = Limits {
-    held: 4,
-    loans: 4,
-    message_bytes: 4096,
-    may_grow: true,
-    claim: tautline_transport::Claim::Ahead,
-    spare_bytes: 0,
+    Limits, LoanError, Participant, PublishError, Publisher, Qos, SendError, Subscription, TakeError,
+    TopicType, TransportError,
 };
 
 #[derive(Message, Clone, Copy)]
@@ -44,6 +36,12 @@ struct Flag {
     raised: bool,
 }
 
+/// Both ends of a topic.
+fn ends<T: Message>(participant: &Participant, topic: &str, qos: Qos) -> (Publisher<T>, Subscription<T>) {
+    let publisher = participant.create_publisher(topic, qos, LIMITS).unwrap();
+    (publisher, participant.create_subscription(topic, qos, LIMITS).unwrap())
+}
+
 /// The child's part of the tests here; without its variable it is no test.
 #[test]
 fn child_main() {
@@ -52,7 +50,7 @@ fn child_main() {
     match part.as_str() {
         "image" => {
             let publisher =
-                participant.create_publisher::<Image>("/image", Qos::keep_last(2), DEFAULT).unwrap();
+                participant.create_publisher::<Image>("/image", Qos::keep_last(2), LIMITS).unwrap();
             let mut loan = publisher.loan().unwrap();
             loan.data[..8].copy_from_slice(b"tautline");
             loan.data[IMAGE_BYTES - 1] = 7;
@@ -62,7 +60,7 @@ fn child_main() {
             wait_for_the_end();
         }
         "250 subscriptions" => {
-            let limits = Limits { held: 1, ..DEFAULT };
+            let limits = Limits { held: 1, ..LIMITS };
             let descriptors = descriptors();
             let subscriptions: Vec<_> = (0..250)
                 .map(|_| {
@@ -92,9 +90,7 @@ fn child_main() {
 #[test]
 fn an_image_is_read_where_it_was_written() {
     let participant = Participant::new(domain(130)).unwrap();
-    let publisher = participant.create_publisher::<Image>("/image", Qos::keep_last(2), DEFAULT).unwrap();
-    let subscription =
-        participant.create_subscription::<Image>("/image", Qos::keep_last(2), DEFAULT).unwrap();
+    let (publisher, subscription) = ends::<Image>(&participant, "/image", Qos::keep_last(2));
     let mut loan = publisher.loan().unwrap();
     loan.data[0] = 1;
     loan.data[IMAGE_BYTES - 1] = 2;
@@ -111,8 +107,7 @@ fn an_image_is_read_where_it_was_written() {
 #[test]
 fn an_image_of_another_process_is_read_in_that_ones_segment() {
     let participant = Participant::new(domain(131)).unwrap();
-    let subscription =
-        participant.create_subscription::<Image>("/image", Qos::keep_last(2), DEFAULT).unwrap();
+    let subscription = participant.create_subscription::<Image>("/image", Qos::keep_last(2), LIMITS).unwrap();
     let mut part = Part::start("image", 131);
     let written = part.hear();
     let sample = wait_for_some("the image", || subscription.try_take().unwrap());
@@ -128,9 +123,9 @@ fn an_image_of_another_process_is_read_in_that_ones_segment() {
 #[test]
 fn samples_carry_number_time_and_publisher() {
     let participant = Participant::new(domain(132)).unwrap();
-    let first = participant.create_publisher::<Count>("/info", Qos::default(), DEFAULT).unwrap();
-    let second = participant.create_publisher::<Count>("/info", Qos::default(), DEFAULT).unwrap();
-    let subscription = participant.create_subscription::<Count>("/info", Qos::default(), DEFAULT).unwrap();
+    let first = participant.create_publisher::<Count>("/info", Qos::default(), LIMITS).unwrap();
+    let second = participant.create_publisher::<Count>("/info", Qos::default(), LIMITS).unwrap();
+    let subscription = participant.create_subscription::<Count>("/info", Qos::default(), LIMITS).unwrap();
     assert_ne!(first.gid(), second.gid());
     let before_ns = std::time::SystemTime::UNIX_EPOCH.elapsed().unwrap().as_nanos() as i64;
     for n in 1..=2 {
@@ -152,9 +147,9 @@ fn samples_carry_number_time_and_publisher() {
 #[test]
 fn keep_last_overwrites_the_oldest_and_counts_it_there_alone() {
     let participant = Participant::new(domain(133)).unwrap();
-    let publisher = participant.create_publisher::<Count>("/last", Qos::default(), DEFAULT).unwrap();
+    let publisher = participant.create_publisher::<Count>("/last", Qos::default(), LIMITS).unwrap();
     let subscribe =
-        |depth| participant.create_subscription::<Count>("/last", Qos::keep_last(depth), DEFAULT).unwrap();
+        |depth| participant.create_subscription::<Count>("/last", Qos::keep_last(depth), LIMITS).unwrap();
     let (never, slow, fast) = (subscribe(2), subscribe(3), subscribe(100));
     let mut taken = Vec::new();
     for n in 1..=100 {
@@ -165,7 +160,7 @@ fn keep_last_overwrites_the_oldest_and_counts_it_there_alone() {
     assert_eq!(take_all(&slow), [98, 99, 100]);
     publisher.publish(&Count { n: 101 }).unwrap();
     assert_eq!(take_all(&slow), [101]);
-    let counts = |subscription: &tautline_transport::Subscription<Count>| {
+    let counts = |subscription: &Subscription<Count>| {
         let counters = subscription.counters();
         (counters.received(), counters.lost(), counters.max_queue())
     };
@@ -182,10 +177,10 @@ fn losses_are_exact_with_several_publishers_and_random_pauses() {
     let mut random = tautline_seed::random();
     let participant = Participant::new(domain(134)).unwrap();
     let publishers: Vec<_> = (0..3)
-        .map(|_| participant.create_publisher::<Count>("/random", Qos::default(), DEFAULT).unwrap())
+        .map(|_| participant.create_publisher::<Count>("/random", Qos::default(), LIMITS).unwrap())
         .collect();
     let subscription =
-        participant.create_subscription::<Count>("/random", Qos::keep_last(5), DEFAULT).unwrap();
+        participant.create_subscription::<Count>("/random", Qos::keep_last(5), LIMITS).unwrap();
     let (mut sent, mut received) = (0, 0);
     for _ in 0..20_000 {
         if random.random_ratio(4, 5) {
@@ -207,15 +202,15 @@ fn losses_are_exact_with_several_publishers_and_random_pauses() {
 fn deep_queues() {
     let participant = Participant::new(domain(135)).unwrap();
     let subscription =
-        participant.create_subscription::<Count>("/deep", Qos::keep_last(20_000), DEFAULT).unwrap();
-    let publisher = participant.create_publisher::<Count>("/deep", Qos::default(), DEFAULT).unwrap();
+        participant.create_subscription::<Count>("/deep", Qos::keep_last(20_000), LIMITS).unwrap();
+    let publisher = participant.create_publisher::<Count>("/deep", Qos::default(), LIMITS).unwrap();
     for n in 1..=20_001 {
         publisher.publish(&Count { n }).unwrap();
     }
     assert_eq!(take_all(&subscription), (2..=20_001).collect::<Vec<_>>());
     assert_eq!(subscription.counters().lost(), 1);
     // Whoever came first decides nothing.
-    let deeper = participant.create_subscription::<Count>("/deep", Qos::keep_last(30_000), DEFAULT).unwrap();
+    let deeper = participant.create_subscription::<Count>("/deep", Qos::keep_last(30_000), LIMITS).unwrap();
     for n in 1..=30_001 {
         publisher.publish(&Count { n }).unwrap();
     }
@@ -223,7 +218,7 @@ fn deep_queues() {
     assert_eq!(take_all(&subscription), (10_002..=30_001).collect::<Vec<_>>());
     for depth in [0, Limits::MAX_DEPTH + 1] {
         let error =
-            participant.create_publisher::<Count>("/deep", Qos::keep_last(depth), DEFAULT).err().unwrap();
+            participant.create_publisher::<Count>("/deep", Qos::keep_last(depth), LIMITS).err().unwrap();
         assert!(matches!(error, TransportError::LimitRange { limit: "depth", .. }), "{error}");
     }
 }
@@ -237,8 +232,8 @@ fn times_of_zero_are_refused() {
         (Qos { lifespan: none, ..Qos::default() }, "lifespan"),
         (Qos { liveliness_lease_duration: none, ..Qos::default() }, "liveliness_lease_duration"),
     ] {
-        let publisher = participant.create_publisher::<Count>("/zero", qos, DEFAULT).err().unwrap();
-        let subscription = participant.create_subscription::<Count>("/zero", qos, DEFAULT).err().unwrap();
+        let publisher = participant.create_publisher::<Count>("/zero", qos, LIMITS).err().unwrap();
+        let subscription = participant.create_subscription::<Count>("/zero", qos, LIMITS).err().unwrap();
         for error in [publisher, subscription] {
             let text = error.to_string();
             assert!(text.contains("/zero") && text.contains(setting), "{text}");
@@ -249,12 +244,12 @@ fn times_of_zero_are_refused() {
 #[test]
 fn ends_of_other_types_get_nothing_from_each_other_and_are_told() {
     let participant = Participant::new(domain(137)).unwrap();
-    let publisher = participant.create_publisher::<Count>("/typed", Qos::default(), DEFAULT).unwrap();
-    let other = participant.create_subscription::<Other>("/typed", Qos::default(), DEFAULT).unwrap();
-    let longer = participant.create_subscription::<Longer>("/typed", Qos::default(), DEFAULT).unwrap();
-    let same = participant.create_subscription::<Count>("/typed", Qos::default(), DEFAULT).unwrap();
+    let publisher = participant.create_publisher::<Count>("/typed", Qos::default(), LIMITS).unwrap();
+    let other = participant.create_subscription::<Other>("/typed", Qos::default(), LIMITS).unwrap();
+    let longer = participant.create_subscription::<Longer>("/typed", Qos::default(), LIMITS).unwrap();
+    let same = participant.create_subscription::<Count>("/typed", Qos::default(), LIMITS).unwrap();
     let unknown = TopicType::new("test_msgs/msg/Count");
-    let unknown = participant.create_raw_subscription("/typed", &unknown, Qos::default(), DEFAULT).unwrap();
+    let unknown = participant.create_raw_subscription("/typed", &unknown, Qos::default(), LIMITS).unwrap();
     publisher.publish(&Count { n: 7 }).unwrap();
     assert!(other.try_take().unwrap().is_none() && longer.try_take().unwrap().is_none());
     assert_eq!(take_all(&same), [7]);
@@ -273,7 +268,7 @@ fn ends_of_other_types_get_nothing_from_each_other_and_are_told() {
     assert_eq!((changes.matched, changes.incompatible_qos), (None, None));
     let seat = participant.doorbell().claim_sampler().unwrap();
     seat.drain(|_| {});
-    let _longer = participant.create_publisher::<Longer>("/typed", Qos::default(), DEFAULT).unwrap();
+    let _longer = participant.create_publisher::<Longer>("/typed", Qos::default(), LIMITS).unwrap();
     let mut rung = Vec::new();
     seat.drain(|slot| rung.push(slot));
     assert!(rung.contains(&slots[1].index()), "{rung:?}");
@@ -285,9 +280,8 @@ fn ends_of_other_types_get_nothing_from_each_other_and_are_told() {
 #[test]
 fn domains_are_apart() {
     let (here, there) = (Participant::new(domain(138)).unwrap(), Participant::new(domain(139)).unwrap());
-    let publisher = here.create_publisher::<Count>("/same", Qos::default(), DEFAULT).unwrap();
-    let subscription = here.create_subscription::<Count>("/same", Qos::default(), DEFAULT).unwrap();
-    let stranger = there.create_subscription::<Other>("/same", Qos::default(), DEFAULT).unwrap();
+    let (publisher, subscription) = ends::<Count>(&here, "/same", Qos::default());
+    let stranger = there.create_subscription::<Other>("/same", Qos::default(), LIMITS).unwrap();
     publisher.publish(&Count { n: 1 }).unwrap();
     assert_eq!((publisher.subscription_count(), stranger.publisher_count()), (1, 0));
     assert!(stranger.try_take().unwrap().is_none());
@@ -298,7 +292,7 @@ fn domains_are_apart() {
 #[test]
 fn loans_run_out_and_come_back() {
     let participant = Participant::new(domain(140)).unwrap();
-    let limits = Limits { loans: 2, ..DEFAULT };
+    let limits = Limits { loans: 2, ..LIMITS };
     let publisher = participant.create_publisher::<Count>("/loans", Qos::default(), limits).unwrap();
     let subscription = participant.create_subscription::<Count>("/loans", Qos::default(), limits).unwrap();
     for _ in 0..1000 {
@@ -316,7 +310,7 @@ fn loans_run_out_and_come_back() {
 #[test]
 fn held_samples_run_out_and_come_back() {
     let participant = Participant::new(domain(141)).unwrap();
-    let limits = Limits { held: 3, ..DEFAULT };
+    let limits = Limits { held: 3, ..LIMITS };
     let publishers =
         [(); 2].map(|()| participant.create_publisher::<Count>("/held", Qos::default(), limits).unwrap());
     let subscription = participant.create_subscription::<Count>("/held", Qos::keep_last(4), limits).unwrap();
@@ -339,8 +333,8 @@ fn held_samples_run_out_and_come_back() {
 #[test]
 fn a_held_sample_does_not_change() {
     let participant = Participant::new(domain(142)).unwrap();
-    let publisher = participant.create_publisher::<Count>("/kept", Qos::default(), DEFAULT).unwrap();
-    let subscription = participant.create_subscription::<Count>("/kept", Qos::keep_last(1), DEFAULT).unwrap();
+    let publisher = participant.create_publisher::<Count>("/kept", Qos::default(), LIMITS).unwrap();
+    let subscription = participant.create_subscription::<Count>("/kept", Qos::keep_last(1), LIMITS).unwrap();
     publisher.publish(&Count { n: 42 }).unwrap();
     let kept = subscription.try_take().unwrap().unwrap();
     for n in 0..10_000 {
@@ -360,7 +354,7 @@ fn descriptors() -> usize {
 #[test]
 fn a_thousand_publishers_and_a_thousand_subscriptions() {
     let participant = Participant::new(domain(143)).unwrap();
-    let limits = Limits { held: 1, loans: 1, ..DEFAULT };
+    let limits = Limits { held: 1, loans: 1, ..LIMITS };
     let qos = Qos::keep_last(1);
     // All of both on one topic is `cargo xtask bench domain`'s to measure.
     for (subscriptions, publishers) in [(1000, 3), (3, 1000), (100, 100)] {
@@ -390,7 +384,7 @@ const PUBLISHERS: u64 = 50;
 fn a_thousand_subscriptions_in_four_processes() {
     let participant = Participant::new(domain(145)).unwrap();
     let publishers: Vec<_> = (0..PUBLISHERS)
-        .map(|_| participant.create_publisher::<Count>("/many", Qos::keep_last(4), DEFAULT).unwrap())
+        .map(|_| participant.create_publisher::<Count>("/many", Qos::keep_last(4), LIMITS).unwrap())
         .collect();
     let mut parts = [(); 4].map(|()| Part::start("250 subscriptions", 145));
     for part in &mut parts {
@@ -414,8 +408,8 @@ fn a_thousand_subscriptions_in_four_processes() {
 #[test]
 fn two_participants_in_one_process() {
     let (one, two) = (Participant::new(domain(146)).unwrap(), Participant::new(domain(146)).unwrap());
-    let publisher = one.create_publisher::<Count>("/two", Qos::default(), DEFAULT).unwrap();
-    let subscription = two.create_subscription::<Count>("/two", Qos::default(), DEFAULT).unwrap();
+    let publisher = one.create_publisher::<Count>("/two", Qos::default(), LIMITS).unwrap();
+    let subscription = two.create_subscription::<Count>("/two", Qos::default(), LIMITS).unwrap();
     let sampler = two.doorbell().claim_sampler().unwrap();
     wait_for("the publisher", || subscription.publisher_count() == 1);
     sampler.drain(|_| ());
@@ -431,9 +425,9 @@ fn two_participants_in_one_process() {
 #[test]
 fn a_subscription_gets_what_is_published_once_it_is_made() {
     let (one, two) = (Participant::new(domain(146)).unwrap(), Participant::new(domain(146)).unwrap());
-    let publisher = one.create_publisher::<Count>("/made", Qos::default(), DEFAULT).unwrap();
+    let publisher = one.create_publisher::<Count>("/made", Qos::default(), LIMITS).unwrap();
     for n in 0..2000 {
-        let subscription = two.create_subscription::<Count>("/made", Qos::default(), DEFAULT).unwrap();
+        let subscription = two.create_subscription::<Count>("/made", Qos::default(), LIMITS).unwrap();
         wait_for("the publisher", || subscription.publisher_count() == 1);
         publisher.publish(&Count { n }).unwrap();
         assert_eq!(take_all(&subscription), [n]);
@@ -443,9 +437,7 @@ fn a_subscription_gets_what_is_published_once_it_is_made() {
 #[test]
 fn publisher_and_subscription_move_between_threads() {
     let participant = Participant::new(domain(147)).unwrap();
-    let mut publisher = participant.create_publisher::<Count>("/move", Qos::default(), DEFAULT).unwrap();
-    let mut subscription =
-        participant.create_subscription::<Count>("/move", Qos::default(), DEFAULT).unwrap();
+    let (mut publisher, mut subscription) = ends::<Count>(&participant, "/move", Qos::default());
     let mut held = None;
     for n in 0..100u64 {
         let expected = n.checked_sub(1);
@@ -465,8 +457,7 @@ fn publisher_and_subscription_move_between_threads() {
 #[test]
 fn a_loan_is_always_a_valid_message() {
     let participant = Participant::new(domain(148)).unwrap();
-    let publisher = participant.create_publisher::<Flag>("/flag", Qos::default(), DEFAULT).unwrap();
-    let subscription = participant.create_subscription::<Flag>("/flag", Qos::default(), DEFAULT).unwrap();
+    let (publisher, subscription) = ends::<Flag>(&participant, "/flag", Qos::default());
     assert_eq!(*publisher.loan().unwrap(), Flag { n: 0, raised: false });
     for n in 0..1000 {
         let mut loan = publisher.loan().unwrap();
@@ -480,10 +471,8 @@ fn a_loan_is_always_a_valid_message() {
 #[test]
 fn keep_all_gives_the_loan_back() {
     let participant = Participant::new(domain(149)).unwrap();
-    let qos = Qos::keep_all(3);
-    let publisher = participant.create_publisher::<Count>("/all", qos, DEFAULT).unwrap();
-    let subscription = participant.create_subscription::<Count>("/all", qos, DEFAULT).unwrap();
-    let last = participant.create_subscription::<Count>("/all", Qos::keep_last(1), DEFAULT).unwrap();
+    let (publisher, subscription) = ends::<Count>(&participant, "/all", Qos::keep_all(3));
+    let last = participant.create_subscription::<Count>("/all", Qos::keep_last(1), LIMITS).unwrap();
     for n in 1..=3 {
         publisher.publish(&Count { n }).unwrap();
     }
@@ -517,10 +506,10 @@ fn another_participants_thread_is_not_woken_directly() {
     let [here, there] = [(); 2].map(|()| Participant::new(domain(58)).unwrap());
     let seats = [&here, &there].map(|participant| participant.doorbell().claim_sampler().unwrap());
     let subscribe = |participant: &Participant| {
-        participant.create_subscription::<Count>("/two", Qos::keep_last(4), DEFAULT).unwrap()
+        participant.create_subscription::<Count>("/two", Qos::keep_last(4), LIMITS).unwrap()
     };
     let subscriptions = [subscribe(&here), subscribe(&there)];
-    let publisher = here.create_publisher::<Count>("/two", Qos::keep_last(4), DEFAULT).unwrap();
+    let publisher = here.create_publisher::<Count>("/two", Qos::keep_last(4), LIMITS).unwrap();
     let rung = || [&seats[0], &seats[1]].map(|seat| seat.drain(|_| {}));
     let bell = there.doorbell().claim_thread_bell().unwrap();
     subscriptions[0].as_ref().wake_thread(Some(&bell));
@@ -539,9 +528,7 @@ fn another_participants_thread_is_not_woken_directly() {
 fn a_backlog_is_taken_without_further_rings() {
     let participant = Participant::new(domain(229)).unwrap();
     let seat = participant.doorbell().claim_sampler().unwrap();
-    let subscription =
-        participant.create_subscription::<Count>("/backlog", Qos::keep_last(8), DEFAULT).unwrap();
-    let publisher = participant.create_publisher::<Count>("/backlog", Qos::keep_last(8), DEFAULT).unwrap();
+    let (publisher, subscription) = ends::<Count>(&participant, "/backlog", Qos::keep_last(8));
     let publish = |n| publisher.publish(&Count { n }).unwrap();
     let mut context = std::task::Context::from_waker(std::task::Waker::noop());
     let mut take = || match subscription.poll_take(&mut context) {
@@ -581,12 +568,8 @@ fn a_backlog_is_taken_without_further_rings() {
 fn a_burst_arrives_in_order_and_says_how_far_it_came() {
     let participant = Participant::new(domain(145)).unwrap();
     let counts = |numbers: std::ops::Range<u64>| numbers.map(|n| Count { n }).collect::<Vec<_>>();
-    let ends = |topic: &str, qos| {
-        let publisher = participant.create_publisher::<Count>(topic, qos, DEFAULT).unwrap();
-        (publisher, participant.create_subscription::<Count>(topic, qos, DEFAULT).unwrap())
-    };
     // Beyond the queue, as messages published one by one: the oldest are overwritten, and counted.
-    let (publisher, subscription) = ends("/bursts", Qos::keep_last(4));
+    let (publisher, subscription) = ends(&participant, "/bursts", Qos::keep_last(4));
     assert_eq!(publisher.publish_many(&[]), Ok(0));
     assert!(!AsRef::<tautline_transport::RawSubscription>::as_ref(&subscription).has_samples());
     assert_eq!(publisher.publish_many(&counts(0..3)), Ok(3));
@@ -596,7 +579,7 @@ fn a_burst_arrives_in_order_and_says_how_far_it_came() {
     let counters = subscription.counters();
     assert_eq!((counters.received(), counters.lost(), counters.max_queue()), (7, 6, 4));
     // Nothing is overwritten where both keep all: those before the first for which there is no room were published.
-    let (publisher, subscription) = ends("/kept", Qos::keep_all(4));
+    let (publisher, subscription) = ends(&participant, "/kept", Qos::keep_all(4));
     let refused = publisher.publish_many(&counts(0..10)).unwrap_err();
     assert_eq!((refused.published, refused.error), (4, PublishError::Full));
     assert!(refused.to_string().ends_with("(the 4 messages before that one were published)"), "{refused}");
@@ -610,10 +593,10 @@ fn a_burst_arrives_in_order_and_says_how_far_it_came() {
 fn each_message_taken_from_a_keep_all_queue_is_room_for_another() {
     let participant = Participant::new(domain(145)).unwrap();
     let qos = Qos::keep_all(80);
-    let publisher = participant.create_publisher::<Count>("/at_a_time", qos, DEFAULT).unwrap();
+    let publisher = participant.create_publisher::<Count>("/at_a_time", qos, LIMITS).unwrap();
     // Twice: what a subscription had taken out of its queue when it went comes back, too.
     for _ in 0..2 {
-        let subscription = participant.create_subscription::<Count>("/at_a_time", qos, DEFAULT).unwrap();
+        let subscription = participant.create_subscription::<Count>("/at_a_time", qos, LIMITS).unwrap();
         let raw: &tautline_transport::RawSubscription = subscription.as_ref();
         let take = || subscription.try_take().unwrap().map(|sample| sample.n);
         let publish = |n| publisher.publish(&Count { n });

@@ -5,8 +5,8 @@ mod support;
 
 use std::fs::OpenOptions;
 use std::os::unix::fs::FileExt;
-use support::{Count, clean, domain, folder, take_all, wait_for};
-use tautline_transport::{Limits, Participant, Qos, TransportError, Visitor};
+use support::{Count, clean, domain, folder, publisher, subscription, take_all, wait_for};
+use tautline_transport::{Participant, Qos, TransportError, Visitor};
 
 const FIX: &str = " is of another version of Tautline: use the same one in all processes of a domain; when none of them runs, the \
                    folder it is in may be removed";
@@ -39,15 +39,11 @@ fn a_participant_of_another_version_is_left_out_and_the_others_go_on() {
     let file = folder(number).join(format!("p{:016x}", other.id()));
     OpenOptions::new().write(true).open(&file).unwrap().write_at(&1_u32.to_ne_bytes(), 8).unwrap();
     let [looker, same] = [(); 2].map(|()| Participant::new(number).unwrap());
-    let create = |of: &Participant| {
-        of.create_publisher::<Count>("/count", Qos::keep_last(4).transient_local(), Limits::default())
-            .unwrap()
-    };
-    let unread = create(&other);
-    unread.publish(&Count { n: 1 }).unwrap();
     let qos = Qos::keep_last(4).transient_local();
-    let subscription = looker.create_subscription::<Count>("/count", qos, Limits::default()).unwrap();
-    let publisher = create(&same);
+    let unread = publisher(&other, "/count", qos);
+    unread.publish(&Count { n: 1 }).unwrap();
+    let subscription = subscription(&looker, "/count", qos);
+    let publisher = publisher(&same, "/count", qos);
     publisher.publish(&Count { n: 2 }).unwrap();
     let mut taken = Vec::new();
     wait_for("the message of the same version", || {

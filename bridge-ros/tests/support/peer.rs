@@ -22,10 +22,7 @@ pub const PATIENCE: Duration = Duration::from_secs(120);
 
 /// The scope of whoever runs the tests, or one that no user's programs are in.
 pub fn scope() -> &'static str {
-    if std::env::var_os("TAUT_SCOPE").is_none() {
-        tautline_rt::domain::set_scope("test").unwrap();
-    }
-    tautline_rt::domain::scope().unwrap().unwrap()
+    tautline_rt::domain::test_scope("test")
 }
 
 /// Puts this process into [`scope`] and has the domain with this number, of both sides, for it alone until it ends: other tests wait.

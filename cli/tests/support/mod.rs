@@ -5,14 +5,14 @@
 pub mod schemas;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use schemas::Checked;
+use schemas::{Checked, ended};
 use serde_json::Value;
 use std::ffi::OsString;
 use std::future::Future;
 use std::io::Read;
 use std::os::fd::AsFd;
 use std::pin::Pin;
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::thread::JoinHandle;
 use tautline::{CallbackHandle, CallbackOptions, Context, Node, Realtime};
 
@@ -151,11 +151,6 @@ fn next_line(mut from: impl Read + AsFd) -> String {
         line.extend(byte);
     }
     String::from_utf8(line).unwrap()
-}
-
-fn ended(output: Output) -> (i32, String, String) {
-    let [out, errors] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
-    (output.status.code().unwrap(), out, errors)
 }
 
 /// Whether a command ended with this code, and said this.

@@ -30,6 +30,12 @@ impl Checked for Command {
     }
 }
 
+/// The exit code of a `taut`, what it printed, and its words.
+pub fn ended(output: Output) -> (i32, String, String) {
+    let [out, errors] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+    (output.status.code().unwrap(), out, errors)
+}
+
 /// Checks what `taut` has printed, if these arguments ask for JSON.
 #[track_caller]
 pub fn check<'a>(args: impl Iterator<Item = &'a OsStr>, out: &[u8]) {

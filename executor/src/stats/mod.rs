@@ -23,7 +23,7 @@ pub use histogram::{Bucket, Histogram, HistogramSnapshot};
 pub use inputs::SizeClass;
 pub use moments::{Moment, MomentKind};
 
-use crate::options::{DeadlineMiss, Overrun, Watch};
+use crate::options::{CallbackOptions, DeadlineMiss, Overrun, Watch};
 pub(crate) use block::kind;
 use block::{Block, HEAD_WORDS, state, word};
 
@@ -195,6 +195,13 @@ impl CallbackStats {
     /// The CPU time that overruns are counted against.
     pub fn budget(&self) -> Option<Duration> {
         self.limit(Self::BUDGET)
+    }
+
+    /// Changes the deadline, the budget and the bound to those of `options`.
+    pub(crate) fn set_limits(&self, options: &CallbackOptions) {
+        self.set_deadline(options.effective_deadline());
+        self.set_budget(options.budget);
+        self.set_bound(options.bound);
     }
 
     /// Changes the deadline, for jobs that end from now on. A deadline of zero means none.

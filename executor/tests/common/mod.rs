@@ -5,7 +5,7 @@
 use std::sync::{Arc, Mutex};
 
 use tautline_executor::CoreSet;
-use tautline_rt::permission::realtime_permitted;
+use tautline_rt::permission::{realtime_permitted, test_needs};
 use tautline_rt::{Enforcement, prove_enforcement_by};
 
 /// An ordered log of events.
@@ -24,19 +24,11 @@ impl Log {
 
 /// Real-time tests need the privilege; with CI set they must run. In `enforcer.rs` the enforcer enforces their budgets.
 pub fn realtime() -> bool {
-    match realtime_permitted(50) {
-        Ok(()) => {
-            if env!("CARGO_CRATE_NAME") == "enforcer" {
-                prove_enforcement_by(Enforcement::Enforcer, 50).unwrap();
-            }
-            true
-        }
-        Err(error) if std::env::var_os("CI").is_some() => panic!("{error}"),
-        Err(error) => {
-            println!("skipped: {error}");
-            false
-        }
+    let is_permitted = test_needs(realtime_permitted(50)).is_some();
+    if is_permitted && env!("CARGO_CRATE_NAME") == "enforcer" {
+        prove_enforcement_by(Enforcement::Enforcer, 50).unwrap();
     }
+    is_permitted
 }
 
 /// The cores this process may use, in ascending order.

@@ -112,6 +112,11 @@ fn poll<S: Stream + Unpin>(stream: &mut S) -> Poll<Option<S::Item>> {
     stream.poll_next_unpin(&mut Context::from_waker(noop_waker_ref()))
 }
 
+/// How many items are there, which are dropped.
+fn poll_all(stream: &mut (impl Stream + Unpin)) -> usize {
+    std::iter::from_fn(|| matches!(poll(stream), Poll::Ready(Some(_))).then_some(())).count()
+}
+
 /// What became of the messages of each input: received, dropped, refused.
 fn counts(counters: &JoinCounters) -> Vec<[u64; 3]> {
     counters.inputs().iter().map(|input| [input.received(), input.dropped(), input.refused()]).collect()
@@ -271,38 +276,14 @@ fn nothing_is_unaccounted_for_and_nothing_is_allocated() {
         let input = (step % 7 % 3) as usize;
         let part = step / 5_000;
         world.send(input, step / 7 * 10 + if part == 1 { 0 } else { step % 2 * 3 });
-        match part {
-            0 => {
-                while let Poll::Ready(Some(_)) = poll(&mut near) {
-                    sets[0] += 1
-                }
-            }
-            1 => {
-                while let Poll::Ready(Some(_)) = poll(&mut equal) {
-                    sets[1] += 1
-                }
-            }
-            2 => {
-                while let Poll::Ready(Some(_)) = poll(&mut all) {
-                    sets[2] += 1
-                }
-            }
-            3 => {
-                while let Poll::Ready(Some(_)) = poll(&mut joined) {
-                    sets[3] += 1
-                }
-            }
-            4 => {
-                while let Poll::Ready(Some(_)) = poll(&mut within) {
-                    sets[4] += 1
-                }
-            }
-            _ => {
-                while let Poll::Ready(Some(_)) = poll(&mut fastest) {
-                    sets[5] += 1
-                }
-            }
-        }
+        sets[part as usize] += match part {
+            0 => poll_all(&mut near),
+            1 => poll_all(&mut equal),
+            2 => poll_all(&mut all),
+            3 => poll_all(&mut joined),
+            4 => poll_all(&mut within),
+            _ => poll_all(&mut fastest),
+        };
         world.log.borrow_mut().clear();
     }
     assert_eq!(CALLS.get(), before);

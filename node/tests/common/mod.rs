@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the tests share: a message, an ordered log, a sampler on a thread, a test run again in a child process.
+//! What the tests share: a message, an ordered log, a system file, a sampler on a thread, a test run again in a child process.
 #![allow(dead_code, reason = "each test file uses its part")]
 
+use std::path::PathBuf;
 use std::process::{Command, Output};
 use std::sync::{Condvar, Mutex};
 use std::thread::JoinHandle;
@@ -10,7 +11,7 @@ use std::time::Duration;
 use futures::StreamExt;
 use tautline::{CallbackOptions, Context, CoreSet, Message, Node, Qos, Realtime};
 use tautline_rt::clock::test_time;
-use tautline_rt::permission::realtime_permitted;
+use tautline_rt::permission::{realtime_permitted, test_needs};
 
 #[derive(Message, Clone, Copy, Debug, PartialEq)]
 #[repr(C)]
@@ -75,8 +76,31 @@ pub fn context(domain: u32) -> Context {
 
 /// Puts this process into the tests' scope, unless whoever runs them has chosen one.
 pub fn isolate() {
-    if std::env::var_os("TAUT_SCOPE").is_none() {
-        tautline_rt::domain::set_scope("test").unwrap();
+    tautline_rt::domain::test_scope("test");
+}
+
+/// A system file, removed at its end.
+pub struct File(pub PathBuf);
+
+impl File {
+    pub fn new(name: &str, text: &str) -> File {
+        let file = File(std::env::temp_dir().join(format!("tautline-{}-{name}.toml", std::process::id())));
+        file.write(text);
+        file
+    }
+
+    pub fn write(&self, text: &str) {
+        std::fs::write(&self.0, text).unwrap();
+    }
+
+    pub fn context(&self, domain: u32) -> tautline::Result<Context> {
+        Context::builder().domain(domain).system(&self.0).build()
+    }
+}
+
+impl Drop for File {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.0);
     }
 }
 
@@ -103,6 +127,13 @@ impl Drop for Spinning {
     }
 }
 
+/// A node whose context spins until the second is dropped.
+pub fn spinning_node(domain: u32, name: &str) -> (Node, Spinning) {
+    let context = context(domain);
+    let spinning = spin(&context);
+    (Node::create(context, name, "").unwrap(), spinning)
+}
+
 /// Waits for what another context or process does; a test that would hang fails after half a minute instead.
 pub fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
     let (start, patience) = (std::time::Instant::now(), test_time(Duration::from_secs(30)));
@@ -114,14 +145,7 @@ pub fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
 
 /// Real-time tests need the privilege; with CI set they must run.
 pub fn realtime() -> bool {
-    match realtime_permitted(50) {
-        Ok(()) => true,
-        Err(error) if std::env::var_os("CI").is_some() => panic!("{error}"),
-        Err(error) => {
-            println!("skipped: {error}");
-            false
-        }
-    }
+    test_needs(realtime_permitted(50)).is_some()
 }
 
 /// The cores this process may use, in ascending order.

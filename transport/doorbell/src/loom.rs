@@ -11,6 +11,24 @@ use loom::sync::Arc;
 use loom::sync::atomic::{AtomicU32, Ordering, fence};
 use loom::thread;
 
+/// Starts a thread that does `what` with a clone of `shared`.
+fn spawn_with<S: Clone + 'static, T: 'static>(
+    shared: &S,
+    what: impl FnOnce(S) -> T + 'static,
+) -> thread::JoinHandle<T> {
+    let shared = shared.clone();
+    thread::spawn(move || what(shared))
+}
+
+/// The sampler, which takes no notice of slots, sleeps until `is_done`.
+fn sleep_until<const WORDS: usize>(bell: &Bell<WORDS>, is_done: impl Fn() -> bool) {
+    while !is_done() {
+        if bell.drain(|_| {}) == 0 {
+            bell.sleep(None);
+        }
+    }
+}
+
 /// The sampler sleeps until it has seen `wanted` slots. A lost wake-up would be a deadlock, which loom reports.
 fn sample_until<const WORDS: usize>(bell: &Bell<WORDS>, wanted: u64) {
     let mut seen = 0u64;
@@ -31,10 +49,7 @@ fn model(f: impl Fn() + Sync + Send + 'static) {
 fn loom_one_ring_is_never_lost() {
     model(|| {
         let bell = Arc::new(Bell::<1>::new());
-        let ringer = {
-            let bell = bell.clone();
-            thread::spawn(move || bell.ring(1))
-        };
+        let ringer = spawn_with(&bell, |bell| bell.ring(1));
         sample_until(&bell, 0b10);
         ringer.join().unwrap();
     });
@@ -44,14 +59,9 @@ fn loom_one_ring_is_never_lost() {
 fn loom_two_ringers_of_different_slots() {
     model(|| {
         let bell = Arc::new(Bell::<1>::new());
-        let ringers = [0usize, 1].map(|slot| {
-            let bell = bell.clone();
-            thread::spawn(move || bell.ring(slot))
-        });
+        let ringers = [0usize, 1].map(|slot| spawn_with(&bell, move |bell| bell.ring(slot)));
         sample_until(&bell, 0b11);
-        for ringer in ringers {
-            ringer.join().unwrap();
-        }
+        ringers.into_iter().for_each(|ringer| ringer.join().unwrap());
     });
 }
 
@@ -70,11 +80,7 @@ fn loom_the_second_ring_of_a_slot_shows_the_second_message() {
                 }
             })
         };
-        while written.load(Ordering::Relaxed) != 2 {
-            if bell.drain(|_| {}) == 0 {
-                bell.sleep(None);
-            }
-        }
+        sleep_until(&bell, || written.load(Ordering::Relaxed) == 2);
         ringer.join().unwrap();
     });
 }
@@ -83,15 +89,12 @@ fn loom_the_second_ring_of_a_slot_shows_the_second_message() {
 fn loom_slots_that_are_marked_together_need_one_wake() {
     model(|| {
         let bell = Arc::new(Bell::<1>::new());
-        let ringer = {
-            let bell = bell.clone();
-            thread::spawn(move || {
-                bell.mark(0);
-                bell.mark(1);
-                fence(Ordering::SeqCst);
-                bell.wake_if_sleeping(0, &Woken::new());
-            })
-        };
+        let ringer = spawn_with(&bell, |bell| {
+            bell.mark(0);
+            bell.mark(1);
+            fence(Ordering::SeqCst);
+            bell.wake_if_sleeping(0, &Woken::new());
+        });
         sample_until(&bell, 0b11);
         ringer.join().unwrap();
     });
@@ -109,14 +112,11 @@ fn loom_a_process_that_has_woken_the_sampler_need_not_do_so_again() {
     // The sampler may have run and begun another sleep between the two rings, or between a ring's look at the state and its wake.
     model(|| {
         let bell = Arc::new(Bell::<1>::new());
-        let ringer = {
-            let bell = bell.clone();
-            thread::spawn(move || {
-                let woken = Woken::new();
-                ring(&bell, 0, &woken);
-                ring(&bell, 1, &woken);
-            })
-        };
+        let ringer = spawn_with(&bell, |bell| {
+            let woken = Woken::new();
+            ring(&bell, 0, &woken);
+            ring(&bell, 1, &woken);
+        });
         sample_until(&bell, 0b11);
         ringer.join().unwrap();
     });
@@ -131,10 +131,20 @@ fn loom_threads_that_share_a_wake_do_not_rely_on_one_that_is_not_over() {
             thread::spawn(move || ring(&bell, slot, &woken))
         });
         sample_until(&bell, 0b11);
-        for ringer in ringers {
-            ringer.join().unwrap();
-        }
+        ringers.into_iter().for_each(|ringer| ringer.join().unwrap());
     });
+}
+
+/// Queues a sample as a publisher does, and rings if its reader wants that of one of its participant (`is_own`) or of another. Returns
+/// whether it has.
+fn publish(bell: &Bell<1>, flags: &Flags, queued: &AtomicU32, sample: u32, is_own: bool) -> bool {
+    queued.store(sample, Ordering::Release);
+    fence(Ordering::SeqCst);
+    let rings = flags.wants_ring(is_own);
+    if rings {
+        bell.ring(0);
+    }
+    rings
 }
 
 #[test]
@@ -148,23 +158,13 @@ fn loom_a_sample_that_nobody_rang_for_is_seen_before_its_reader_sleeps() {
         let publisher = {
             let (bell, flags, queued) = (bell.clone(), flags.clone(), queued.clone());
             thread::spawn(move || {
-                for sample in 1..=2 {
-                    queued.store(sample, Ordering::Release);
-                    fence(Ordering::SeqCst);
-                    if flags.wants_ring(false) {
-                        bell.ring(0);
-                    }
-                }
+                (1..=2).for_each(|sample| _ = publish(&bell, &flags, &queued, sample, false))
             })
         };
         let all = || queued.load(Ordering::Acquire) == 2;
         if !all() {
             flags.stop_draining();
-            while !all() {
-                if bell.drain(|_| {}) == 0 {
-                    bell.sleep(None);
-                }
-            }
+            sleep_until(&bell, all);
         }
         publisher.join().unwrap();
     });
@@ -178,20 +178,10 @@ fn loom_a_sample_is_seen_by_a_reader_that_no_longer_polls_by_itself() {
         flags.set_quiet(true);
         let publisher = {
             let (bell, flags, queued) = (bell.clone(), flags.clone(), queued.clone());
-            thread::spawn(move || {
-                queued.store(1, Ordering::Release);
-                fence(Ordering::SeqCst);
-                if flags.wants_ring(false) {
-                    bell.ring(0);
-                }
-            })
+            thread::spawn(move || publish(&bell, &flags, &queued, 1, false))
         };
         flags.set_quiet(false);
-        while queued.load(Ordering::Acquire) != 1 {
-            if bell.drain(|_| {}) == 0 {
-                bell.sleep(None);
-            }
-        }
+        sleep_until(&bell, || queued.load(Ordering::Acquire) == 1);
         publisher.join().unwrap();
     });
 }
@@ -203,16 +193,8 @@ fn loom_a_sample_is_seen_by_whoever_published_it_or_by_who_asks_for_that() {
         let queued = Arc::new(AtomicU32::new(0));
         let publisher = {
             let (bell, flags, queued) = (bell.clone(), flags.clone(), queued.clone());
-            thread::spawn(move || {
-                queued.store(1, Ordering::Release);
-                fence(Ordering::SeqCst);
-                let rings = flags.wants_ring(true);
-                if rings {
-                    bell.ring(0);
-                }
-                // Otherwise it looks itself.
-                !rings
-            })
+            // Whoever does not ring looks itself.
+            thread::spawn(move || !publish(&bell, &flags, &queued, 1, true))
         };
         flags.set_own_look(true);
         let is_seen = queued.load(Ordering::Acquire) == 1;
@@ -244,9 +226,7 @@ fn loom_a_ring_in_a_window_is_never_lost() {
                 bell.sleep(None);
             }
         }
-        for ringer in ringers {
-            ringer.join().unwrap();
-        }
+        ringers.into_iter().for_each(|ringer| ringer.join().unwrap());
     });
 }
 
@@ -269,11 +249,7 @@ fn loom_a_sample_is_seen_by_a_reader_that_changes_its_bell() {
             })
         };
         route.set(Some(BellBit { thread: 0, bit: 5 }));
-        while queued.load(Ordering::Acquire) != 1 {
-            if own.drain(|_| {}) == 0 {
-                own.sleep(None);
-            }
-        }
+        sleep_until(&own, || queued.load(Ordering::Acquire) == 1);
         publisher.join().unwrap();
     });
 }
@@ -308,13 +284,10 @@ fn loom_a_killed_ringer_is_rescued() {
     for before_wake in [false, true] {
         model(move || {
             let bell = Arc::new(Bell::<1>::new());
-            let rescuer = {
-                let bell = bell.clone();
-                thread::spawn(move || {
-                    bell.ring_and_die(0, before_wake);
-                    bell.rescue();
-                })
-            };
+            let rescuer = spawn_with(&bell, move |bell| {
+                bell.ring_and_die(0, before_wake);
+                bell.rescue();
+            });
             sample_until(&bell, 0b1);
             rescuer.join().unwrap();
         });
@@ -325,14 +298,8 @@ fn loom_a_killed_ringer_is_rescued() {
 fn loom_a_ringer_that_is_stuck_before_its_wake_holds_up_nobody_else() {
     model(|| {
         let bell = Arc::new(Bell::<1>::new());
-        let stuck = {
-            let bell = bell.clone();
-            thread::spawn(move || bell.ring_and_die(0, true))
-        };
-        let other = {
-            let bell = bell.clone();
-            thread::spawn(move || bell.ring(1))
-        };
+        let stuck = spawn_with(&bell, |bell| bell.ring_and_die(0, true));
+        let other = spawn_with(&bell, |bell| bell.ring(1));
         let mut seen = 0u64;
         while seen & 0b10 == 0 {
             if bell.drain(|slot| seen |= 1 << slot) == 0 {
@@ -404,11 +371,7 @@ fn loom_a_flag_ends_each_wait_for_it() {
         while written.load(Ordering::Relaxed) != 2 {
             // SAFETY: it lives to the end of the model.
             assert!(unsafe { signal.attach(&*set) });
-            while !signal.is_set() {
-                if set.0.drain(|_| {}) == 0 {
-                    set.0.sleep(None);
-                }
-            }
+            sleep_until(&set.0, || signal.is_set());
             signal.detach(&*set);
             assert!(signal.take());
         }

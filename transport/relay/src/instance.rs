@@ -142,12 +142,9 @@ impl Drop for InstanceLock {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tests::isolated;
     use tautline_rt::domain::shared_path;
     use tautline_transport::Participant;
-
-    fn isolated() {
-        tautline_rt::domain::set_scope(&format!("unit{}", std::process::id())).unwrap();
-    }
 
     #[test]
     fn one_at_a_time() {

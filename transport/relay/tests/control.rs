@@ -275,9 +275,7 @@ struct Mirroring {
 }
 
 fn isolated() {
-    if std::env::var_os("TAUT_SCOPE").is_none() {
-        let _ = tautline_rt::domain::set_scope(&format!("test{}", std::process::id()));
-    }
+    tautline_rt::domain::test_scope(&format!("test{}", std::process::id()));
 }
 
 fn topic_type() -> TopicType {

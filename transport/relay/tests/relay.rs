@@ -40,16 +40,10 @@ fn publish(publisher: &RawPublisher) {
     assert!(loan.publish().is_ok());
 }
 
-fn isolated() {
-    if std::env::var_os("TAUT_SCOPE").is_none() {
-        tautline_rt::domain::set_scope("test").unwrap();
-    }
-}
-
 /// However many more than may come early.
 #[test]
 fn what_is_kept_finds_the_senders_that_its_topic_begins_with() {
-    isolated();
+    tautline_rt::domain::test_scope("test");
     let [participant, relaying] = [(); 2].map(|()| Participant::new(207).unwrap());
     let (topic_type, qos) = (TopicType::new("test_msgs/msg/Bytes"), Qos::keep_last(20).transient_local());
     let publisher = participant.create_raw_publisher("/x", &topic_type, qos, Limits::default()).unwrap();
@@ -66,7 +60,7 @@ fn what_is_kept_finds_the_senders_that_its_topic_begins_with() {
 
 #[test]
 fn what_came_early_goes_first_and_what_is_a_relays_does_not_go() {
-    isolated();
+    tautline_rt::domain::test_scope("test");
     let [participant, relaying] = [(); 2].map(|()| Participant::new(93).unwrap());
     let (topic_type, qos) = (TopicType::new("test_msgs/msg/Bytes"), Qos::keep_last(10));
     let publisher =

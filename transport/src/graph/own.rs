@@ -246,14 +246,7 @@ impl OwnRecordState {
         entries.retain(|_, numbers| !numbers.is_empty());
         topics.extend(entries.keys().map(|(_, hash, _)| hash));
         // Their nodes go after them.
-        for numbers in entries.values_mut() {
-            while let Some(number) = numbers.last() {
-                changed = true;
-                self.log.remove(*number)?;
-                numbers.pop();
-            }
-        }
-        for numbers in nodes.values_mut() {
+        for numbers in entries.values_mut().chain(nodes.values_mut()) {
             while let Some(number) = numbers.last() {
                 changed = true;
                 self.log.remove(*number)?;

@@ -401,16 +401,19 @@ mod loom_tests {
         builder.check(f);
     }
 
+    /// Starts the thread that collects, which does `what`.
+    fn collector(table: &Model, what: impl FnOnce(&Model) + 'static) -> thread::JoinHandle<()> {
+        let table = table.clone();
+        thread::spawn(move || what(&table))
+    }
+
     #[test]
     fn loom_a_request_that_is_dropped_while_it_is_answered() {
         model(|| {
             let table = table();
             let index = send(&table, 1);
             let (outcome, dropped) = response(1);
-            let collector = {
-                let table = table.clone();
-                thread::spawn(move || table.answer(1, outcome))
-            };
+            let collector = collector(&table, move |table| table.answer(1, outcome));
             table.release(index);
             collector.join().unwrap();
             assert_eq!(dropped.0.get(), 1, "the response was given back once");
@@ -425,13 +428,10 @@ mod loom_tests {
             let table = table();
             let first = send(&table, 1);
             let (outcome, dropped) = response(1);
-            let collector = {
-                let table = table.clone();
-                thread::spawn(move || {
-                    table.answer(1, outcome);
-                    table.servers_changed(1, 0);
-                })
-            };
+            let collector = collector(&table, move |table| {
+                table.answer(1, outcome);
+                table.servers_changed(1, 0);
+            });
             let second = send(&table, 2);
             collector.join().unwrap();
             assert!(matches!(table.take(first), Some(Outcome::Response(DropProbe(1, _)))));
@@ -447,10 +447,7 @@ mod loom_tests {
             let table = table();
             let filler = table.claim().expect("so that there is one place for two requests");
             let first = send(&table, 1);
-            let collector = {
-                let table = table.clone();
-                thread::spawn(move || table.servers_changed(1, 0))
-            };
+            let collector = collector(&table, |table| table.servers_changed(1, 0));
             table.release(first);
             let second = table.claim();
             if let Some(second) = second {
@@ -473,10 +470,7 @@ mod loom_tests {
             let filler = table.claim().expect("so that there is one place for two requests");
             let first = send(&table, 1);
             let (outcome, dropped) = response(1);
-            let collector = {
-                let table = table.clone();
-                thread::spawn(move || table.answer(1, outcome))
-            };
+            let collector = collector(&table, move |table| table.answer(1, outcome));
             table.release(first);
             let second = table.claim().inspect(|&second| table.arm(second, 2));
             collector.join().unwrap();

@@ -13,7 +13,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tautline_msgs::Message;
 use tautline_rt::clock::test_time;
-use tautline_transport::{Participant, Subscription};
+use tautline_transport::{Claim, Limits, Participant, Publisher, Qos, Subscription};
 
 #[derive(Message, Clone, Copy, Debug, PartialEq)]
 #[message(name = "test_msgs/msg/Count", crate = "tautline_msgs")]
@@ -30,6 +30,10 @@ pub const IMAGE_BYTES: usize = 8 << 20;
 pub struct Image {
     pub data: [u8; IMAGE_BYTES],
 }
+
+/// The default limits without spare memory.
+pub const LIMITS: Limits =
+    Limits { held: 4, loans: 4, message_bytes: 4096, may_grow: true, claim: Claim::Ahead, spare_bytes: 0 };
 
 /// A domain in the tests' own scope, which no other test file uses. Reserved for this process until it ends: another run of the same
 /// tests waits.
@@ -51,11 +55,15 @@ pub fn domain(number: u32) -> u32 {
 
 /// That of whoever runs the tests, or one that no user's programs are in, nor the tests of other packages.
 fn scope() -> &'static str {
-    if std::env::var_os("TAUT_SCOPE").is_none() {
-        // Refused to a process that is in one.
-        let _ = tautline_rt::domain::set_scope(env!("CARGO_PKG_NAME"));
-    }
-    tautline_rt::domain::scope().unwrap().unwrap()
+    tautline_rt::domain::test_scope(env!("CARGO_PKG_NAME"))
+}
+
+pub fn publisher(participant: &Participant, topic: &str, qos: Qos) -> Publisher<Count> {
+    participant.create_publisher(topic, qos, Limits::default()).unwrap()
+}
+
+pub fn subscription(participant: &Participant, topic: &str, qos: Qos) -> Subscription<Count> {
+    participant.create_subscription(topic, qos, Limits::default()).unwrap()
 }
 
 /// Takes all that is there.

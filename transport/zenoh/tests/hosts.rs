@@ -5,9 +5,9 @@ mod support;
 
 use std::collections::HashSet;
 use std::time::Duration;
-use support::{Host, UNKNOWN_HASH, connect, image_type, string_type, take, until, wait};
+use support::{Host, UNKNOWN_HASH, connect, image_type, stats, string_type, take, until, wait};
+use tautline_gateway::Direction;
 use tautline_gateway::wire::{Attachment, ENCAPSULATION, Token, endpoint_gid};
-use tautline_gateway::{Direction, TopicStats};
 use tautline_ros_msgs::geometry_msgs::msg::Twist;
 use tautline_ros_msgs::sensor_msgs::msg::{Image, ImageSizes};
 use tautline_ros_msgs::std_msgs::msg::HeaderSizes;
@@ -16,10 +16,6 @@ use zenoh::Wait;
 use zenoh::qos::CongestionControl;
 use zenoh::query::Query;
 use zenoh::sample::SourceInfo;
-
-fn stats(host: &Host, topic: &str, direction: Direction) -> Option<TopicStats> {
-    host.stats().topics.into_iter().find(|stats| stats.name.topic == topic && stats.direction == direction)
-}
 
 #[test]
 fn bytes_of_every_size_arrive_as_they_were() {

@@ -4,8 +4,8 @@
 mod support;
 
 use std::collections::BTreeMap;
-use support::{Host, connect, string_type, take, until, wait};
-use tautline_gateway::{Direction, TopicStats};
+use support::{Host, connect, stats, string_type, take, until, wait};
+use tautline_gateway::Direction;
 use tautline_transport::{
     EndpointKind, Gid, Limits, MessageInfo, NodeName, Origin, Participant, Qos, RawPublisher, RawSample,
     RawSubscription, RemoteGraph, TopicEndpoint,
@@ -89,10 +89,6 @@ fn reach(port: &RawPublisher, subscription: &RawSubscription) -> u64 {
         assert_eq!(take(subscription).info().sequence_number, number);
     }
     next
-}
-
-fn stats(host: &Host, topic: &str, direction: Direction) -> Option<TopicStats> {
-    host.stats().topics.into_iter().find(|stats| stats.name.topic == topic && stats.direction == direction)
 }
 
 /// So many went through the host's gateway, and none was dropped or lost.

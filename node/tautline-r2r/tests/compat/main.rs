@@ -11,9 +11,7 @@ use r2r::{Context, Realtime};
 
 /// What `Context::create` makes, but for the tests' domain, arguments and privileges.
 fn context(domain: u32, arguments: &str) -> Context {
-    if std::env::var_os("TAUT_SCOPE").is_none() {
-        tautline_rt::domain::set_scope("test").unwrap();
-    }
+    tautline_rt::domain::test_scope("test");
     let arguments = arguments.split_whitespace();
     Context::builder().domain(domain).realtime(Realtime::Off).args(arguments).build().unwrap()
 }

@@ -3,7 +3,7 @@
 #![allow(dead_code, reason = "each test uses a part")]
 
 use std::time::{Duration, Instant};
-use tautline_gateway::{Gateway, Network, Options, Stats};
+use tautline_gateway::{Direction, Gateway, Network, Options, Stats, TopicStats};
 use tautline_rt::Realtime;
 use tautline_transport::{
     Limits, MessageInfo, Participant, Qos, RawPublisher, RawSample, RawSubscription, TopicType,
@@ -27,10 +27,7 @@ pub fn image_type() -> TopicType {
 
 /// That of whoever runs the tests, or one that no user's programs are in.
 pub fn scope() -> &'static str {
-    if std::env::var_os("TAUT_SCOPE").is_none() {
-        tautline_rt::domain::set_scope("test").unwrap();
-    }
-    tautline_rt::domain::scope().unwrap().unwrap()
+    tautline_rt::domain::test_scope("test")
 }
 
 pub struct Host {
@@ -95,6 +92,11 @@ impl Host {
     pub fn subscription(&self, topic: &str, topic_type: &TopicType, qos: Qos) -> RawSubscription {
         self.participant.create_raw_subscription(topic, topic_type, qos, Limits::default()).unwrap()
     }
+}
+
+/// What a host's gateway counts of a topic in one direction.
+pub fn stats(host: &Host, topic: &str, direction: Direction) -> Option<TopicStats> {
+    host.stats().topics.into_iter().find(|stats| stats.name.topic == topic && stats.direction == direction)
 }
 
 /// Waits until `done` says something.
