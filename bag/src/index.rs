@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reads the summary at the end of a file without the rest.
 
-use crate::parts::MAGIC;
+use crate::parts::{EIO, MAGIC};
 use crate::reader::{FileSummary, definition, topic};
 use crate::record::{Records, parse};
 use crate::{BagError, Compression, MOST_BYTES};
@@ -107,6 +107,9 @@ fn read(file: &File, from: u64, to: u64) -> io::Result<Option<Vec<u8>>> {
         return Ok(None);
     };
     let mut read = vec![0; len as usize];
-    file.read_exact_at(&mut read, from)?;
-    Ok(Some(read))
+    match file.read_exact_at(&mut read, from) {
+        // A damaged sector.
+        Err(error) if error.raw_os_error() == Some(EIO) => Ok(None),
+        done => done.map(|()| Some(read)),
+    }
 }

@@ -83,6 +83,9 @@ pub fn is_compressed(message: &[u8]) -> bool {
     message.starts_with(&ZSTD_MAGIC)
 }
 
+/// Linux's number of an error of the disk.
+pub(crate) const EIO: i32 = 5;
+
 /// Whether an MCAP file has no beginning: whoever wrote it was killed, or the disk was full or lost its power, before that was there.
 fn is_headless(path: &Path, begin: &[u8]) -> bool {
     let begin = &begin[..begin.len().min(MAGIC.len())];
@@ -101,7 +104,11 @@ pub fn form_of(path: &Path) -> Result<Form, BagError> {
         return Err(no_bag("it is not a file"));
     }
     let mut begin = Vec::new();
-    file.take(SQLITE_MAGIC.len() as u64).read_to_end(&mut begin).map_err(BagError::read(path))?;
+    match file.take(SQLITE_MAGIC.len() as u64).read_to_end(&mut begin) {
+        // What is behind a damaged sector may be found.
+        Err(error) if error.raw_os_error() == Some(EIO) => begin.clear(),
+        read => _ = read.map_err(BagError::read(path))?,
+    }
     if begin.starts_with(MAGIC) || is_headless(path, &begin) {
         Ok(Form::Mcap)
     } else if begin.starts_with(SQLITE_MAGIC) {
@@ -220,6 +227,7 @@ fn described_parts(folder: &Path, described: &Path, file: File) -> Result<Parts,
     let is_part = |file: &PathBuf| {
         !named.contains(&bare(file))
             && files.iter().any(|named| end(named) == end(file))
+            && fs::metadata(file).is_ok_and(|file| file.len() > 0)
             && form_of(file).is_ok()
     };
     let unnamed: Vec<_> = unnamed.filter(is_part).collect();

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reads a bag from its first byte to its last, with any content.
 
-use crate::parts::{Form, MAGIC, form_of, in_order};
+use crate::parts::{EIO, Form, MAGIC, form_of, in_order};
 use crate::qos::joined;
 use crate::record::{Records, parse};
 use crate::{BagError, Compression, Definition, MOST_BYTES, Stamp, Topic};
@@ -147,9 +147,6 @@ pub(crate) struct Extent {
 pub(crate) const TYPE_HASH: &str = "topic_type_hash";
 pub(crate) const QOS: &str = "offered_qos_profiles";
 
-/// Linux's number of an error of the disk.
-const EIO: i32 = 5;
-
 fn number(bytes: &[u8]) -> u64 {
     bytes.try_into().map_or(0, u64::from_le_bytes)
 }
@@ -260,9 +257,11 @@ impl FileReader {
                 _ if position + whole > self.bytes => break,
                 op::CHUNK | op::MESSAGE if whole >= RECORD_HEAD + 24 && !self.is_ended => {
                     let is_there = self.fill(&mut times, position + RECORD_HEAD)?;
+                    if !is_there {
+                        self.note(position, "the disk cannot read it");
+                    }
                     let [start_ns, end_ns, bytes] = match kind {
-                        // Noted when the rest of it is read.
-                        _ if !is_there => [0, 0, whole],
+                        _ if !is_there => [0; 3],
                         op::CHUNK => [number(&times[..8]), number(&times[8..16]), number(&times[16..])],
                         // Channel and sequence number are before it.
                         _ => [number(&times[6..14]), number(&times[6..14]), whole],

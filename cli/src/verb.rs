@@ -207,6 +207,12 @@ impl End {
         self.interrupted.load(Ordering::Relaxed) || self.left().is_some_and(|left| left.is_zero())
     }
 
+    /// Whether it is reached, or is a moment later.
+    pub fn is_reached_soon(&self) -> bool {
+        self.pause(5 * POLL);
+        self.is_reached()
+    }
+
     pub fn timeout(&self) -> Option<Duration> {
         self.timeout
     }

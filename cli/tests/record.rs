@@ -328,7 +328,7 @@ fn what_is_lost_is_counted() {
 
 #[test]
 fn what_is_lost_counts_where_nobody_reads_it() {
-    let place = Place::new(6);
+    let place = Place::new(148);
     let mut recorder = place.record(&["/never"]);
     drop(recorder.0.stdout.take());
     let (code, _, errors) = recorder.end();
@@ -337,7 +337,7 @@ fn what_is_lost_counts_where_nobody_reads_it() {
 
 #[test]
 fn a_long_period_does_not_delay_the_end() {
-    let place = Place::new(21);
+    let place = Place::new(142);
     let publisher = place.publisher::<Count>("/seldom", Qos::default());
     let recorder = place.record(&["/seldom", "--period", "1h"]);
     place.wait_for_observer(publisher.gid());
@@ -350,14 +350,14 @@ fn a_long_period_does_not_delay_the_end() {
 /// At the limit of open files nothing new is found, which is said; what is there is recorded, and what is new when that has passed.
 #[test]
 fn a_refusal_of_the_system_that_passes_ends_no_recording() {
-    let place = Place::new(22);
+    let place = Place::new(143);
     let first = place.publisher::<Count>("/first", Qos::default());
     let mut recorder = place.record(&["/first", "/late"]);
     place.wait_for_observer(first.gid());
     let pid = Some(Pid::from_child(&recorder.0));
     let limit = |limit| prlimit(pid, Resource::Nofile, limit).unwrap();
     let before = limit(Rlimit { current: Some(3), ..getrlimit(Resource::Nofile) });
-    let other = Participant::new(22).unwrap();
+    let other = Participant::new(143).unwrap();
     let late = other.create_publisher::<Count>("/late", Qos::default(), Limits::default()).unwrap();
     let mut told = BufReader::with_capacity(1, recorder.0.stderr.as_mut().unwrap());
     let mut line = String::new();

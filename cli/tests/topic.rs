@@ -239,7 +239,7 @@ fn what_was_expected_decides_the_exit_code() {
 
 #[test]
 fn a_verb_ends_in_time_however_fast_messages_come() {
-    let participant = enter(19);
+    let participant = enter(139);
     let publisher = publisher(&participant, "/fast", Qos::keep_last(100));
     let (stop, thread) = flow(publisher, 1e9, message(&json!({})));
     for verb in

@@ -128,6 +128,7 @@ pub struct ForeignCallback {
     holds: bool,
     /// The shortest time taken from a job that is recorded, if core time is accounted for.
     accounts_ns: Option<u64>,
+    process: ProcessMark,
 }
 
 impl ForeignCallback {
@@ -166,7 +167,8 @@ impl ForeignCallback {
         }
         let holds = options.execution_time && options.overrun_policy == OverrunPolicy::Demote;
         let (stats, measures_execution) = (PiMutex::new(stats), options.execution_time);
-        Ok(ForeignCallback { stats, measures_execution, holds, accounts_ns: None })
+        let process = ProcessMark::new();
+        Ok(ForeignCallback { stats, measures_execution, holds, accounts_ns: None, process })
     }
 
     /// Does for its jobs what [`Executor::account_core_time`](crate::Executor::account_core_time) does, in any thread.
@@ -195,7 +197,7 @@ impl ForeignCallback {
     pub fn begin(&self, release_ns: Option<u64>, queue: QueueState) {
         self.with_account(CoreTimeAccount::begin);
         let stats = self.stats.lock();
-        note_thread(&stats);
+        note_thread(&stats, self.process);
         if let Some(release_ns) = release_ns {
             stats.note_queue(queue);
             stats.release_after(UNEVEN, release_ns);
@@ -252,25 +254,26 @@ impl ForeignCallback {
     /// As [`begin`](Self::begin) where the execution time is not measured.
     pub fn publish(&self, now_ns: u64) {
         let stats = self.stats.lock();
-        note_thread(&stats);
+        note_thread(&stats, self.process);
         stats.publish(UNEVEN, now_ns);
     }
 }
 
-fn own_tid() -> u32 {
+/// This thread's id, in the process of the callback.
+fn own_tid(process: ProcessMark) -> u32 {
     match TID.get() {
-        Some((process, tid)) if process.is_here() => tid,
+        Some((of, tid)) if of == process => tid,
         _ => {
             let tid = current_tid();
-            TID.set(Some((ProcessMark::new(), tid)));
+            TID.set(Some((process, tid)));
             tid
         }
     }
 }
 
 /// Records that this thread runs the callback, if another one did before.
-fn note_thread(stats: &CallbackStats) {
-    let tid = own_tid();
+fn note_thread(stats: &CallbackStats, process: ProcessMark) {
+    let tid = own_tid(process);
     if stats.tid() != tid
         && let (Ok(policy), Ok(cores)) = (current_policy(), current_affinity())
     {

@@ -4,7 +4,7 @@
 use std::cell::Cell;
 use std::ffi::c_void;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tautline_rt::PiMutex;
 
 /// `rmw_event_callback_t` and its argument; `None` removes a callback.
@@ -32,8 +32,8 @@ thread_local! {
 
 /// Interval of the check whether a call has returned.
 const LOOK: Duration = Duration::from_micros(50);
-/// A second of them.
-const MOST_LOOKS: u32 = 20_000;
+/// How long a callback waits for another one.
+const PATIENCE: Duration = Duration::from_secs(1);
 
 impl EventCallback {
     /// Sets the callback. The previous one may still be running; see [`settle`](Self::settle).
@@ -45,15 +45,14 @@ impl EventCallback {
     /// Waits until calls in progress in other threads have returned. The caller must hold no lock that they need. From within a callback it
     /// waits a second at most: what it waits for may wait for that callback.
     pub(crate) fn settle(&self) {
-        let (own, mut looks) = (self.own_calls(), 0);
+        let (own, start) = (self.own_calls(), Instant::now());
         while self.calls.load(Ordering::Acquire) > own {
-            if looks == MOST_LOOKS && !INNERMOST.get().is_null() {
+            if !INNERMOST.get().is_null() && start.elapsed() > PATIENCE {
                 return tracing::warn!(
                     "a callback that was removed within another callback still runs after a second: keep what it uses, or remove it elsewhere"
                 );
             }
             std::thread::sleep(LOOK);
-            looks += 1;
         }
     }
 

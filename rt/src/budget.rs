@@ -257,6 +257,11 @@ impl BudgetTimer {
                 Enforcement::Enforcer => Alarm::Enforcer(enforcer::Alarm::take()),
             };
             let _ = own.enforced.set(by);
+            // A forked child has its parent's.
+            state.end_ns.store(0, Ordering::Relaxed);
+            state.refill_ns.store(0, Ordering::Relaxed);
+            state.demoted.store(false, Ordering::Relaxed);
+            state.suspended.store(false, Ordering::Relaxed);
             state.own.set(Arc::as_ptr(&own));
             state.alarm.set(alarm);
             state.process.set(Some(ProcessMark::new()));

@@ -129,7 +129,7 @@ pub fn run(args: &DelayArgs, common: &CommonArgs) -> Outcome {
         }
         // Messages may come faster than they are read.
         let begun = Instant::now();
-        while begun.elapsed() < args.every && !end.is_reached() {
+        while begun.elapsed() < args.every.max(POLL) && !end.is_reached() {
             let sample = match subscription.try_take() {
                 Ok(Some(sample)) => sample,
                 Ok(None) => break,

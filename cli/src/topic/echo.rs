@@ -60,11 +60,17 @@ pub fn run(args: &EchoArgs, common: &CommonArgs) -> Outcome {
     let mut tap = Tap::open(domain, &topic, topic_type)?;
     let schema = if args.raw { None } else { Some(tap.schema(&end)?) };
     let wanted = if args.once { Some(1) } else { args.count };
-    let (mut printed, mut is_checked, mut is_over) = (0, false, false);
-    while !is_over && wanted.is_none_or(|wanted| printed < wanted) {
-        // Messages may come faster than they are printed.
-        is_over = end.is_reached();
+    let (mut printed, mut is_checked, mut left) = (0, false, None);
+    while wanted.is_none_or(|wanted| printed < wanted) && left != Some(0) {
+        // Messages may come faster than they are printed: at the end only those that have come.
+        left = match left {
+            None if end.is_reached() => Some(tap.waiting()),
+            left => left.map(|left| left - 1),
+        };
         let Some(sample) = tap.take()? else {
+            if left.is_some() {
+                break;
+            }
             if printed == 0 {
                 end.print_waiting_once(|| format!("a message on '{topic}'"));
             }
@@ -85,7 +91,12 @@ pub fn run(args: &EchoArgs, common: &CommonArgs) -> Outcome {
                 {
                     args.check_field(path, &message)?;
                 }
-                if let Some(text) = args.text(&message, filter.as_mut(), common.json)? {
+                let text = match args.text(&message, filter.as_mut(), common.json) {
+                    // A terminal's Ctrl-C ends the filter, too.
+                    Err(_) if filter.is_some() && end.is_reached_soon() => break,
+                    text => text?,
+                };
+                if let Some(text) = text {
                     out.write_all(text.as_bytes())?;
                     out.flush()?;
                     printed += 1;

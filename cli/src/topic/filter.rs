@@ -4,7 +4,6 @@
 use crate::sibling::FILTER;
 use crate::verb::{Failure, Outcome};
 use std::io::{BufRead, BufReader, Write};
-use std::os::unix::process::CommandExt;
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use tautline_rt::host::with_former_open_files;
 use tautline_schema::DynamicMessage;
@@ -25,8 +24,6 @@ impl Filter {
         let path = FILTER.path();
         let mut command = Command::new(&path);
         command.arg(text).stdin(Stdio::piped()).stdout(Stdio::piped());
-        // Not in the group that a terminal's Ctrl-C ends: what is queued is still to be selected.
-        command.process_group(0);
         let started = with_former_open_files(&mut command).spawn();
         let mut child = started.map_err(|error| Failure::unusable(FILTER.error(path, error).to_string()))?;
         let (Some(messages), Some(answers)) = (child.stdin.take(), child.stdout.take()) else {

@@ -95,6 +95,11 @@ impl Tap {
         }
     }
 
+    /// How many messages have come that can still be taken.
+    pub fn waiting(&self) -> u64 {
+        self.subscription.waiting().min(self.subscription.qos().depth as u64)
+    }
+
     /// Messages that were overwritten before they were taken.
     pub fn lost(&self) -> u64 {
         self.lost + self.subscription.counters().lost()

@@ -35,7 +35,7 @@ impl Drop for Running {
 
 #[test]
 fn a_client_without_its_router_says_so_and_ends_when_asked() {
-    const DOMAIN: u32 = 17;
+    const DOMAIN: u32 = 137;
     let mut command = gateway(DOMAIN, &["--client", "--connect", "tcp/127.0.0.1:1"]);
     let mut running = Running(command.spawn().unwrap());
     let mut lines = BufReader::new(running.0.stderr.take().unwrap()).lines().map_while(Result::ok);
@@ -54,7 +54,7 @@ fn what_cannot_run_ends_with_2() {
         (["--listen", "tcp"], "--listen"),
         (["--interval", "0"], "from 0.1 to 3600 seconds"),
     ] {
-        let output = gateway(18, &args).output().unwrap();
+        let output = gateway(138, &args).output().unwrap();
         let words = String::from_utf8(output.stderr).unwrap();
         assert!(output.status.code() == Some(2) && words.contains(said), "{args:?}: {words}");
     }

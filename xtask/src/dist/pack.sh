@@ -209,9 +209,13 @@ rmw-wheel) # One for all distributions: the libraries that were packed for other
     # Files of this kind are read in the order of their names: after ros_wheels_bootstrapper.pth, which starts Python anew.
     echo "import os; os.environ.get('RMW_IMPLEMENTATION') == 'rmw_tautline' and __import__('rmw_tautline')" \
         > "$wheel/tautline_rmw.pth"
-    # From Jazzy's to Kilted's, with whose headers and libraries they are built.
-    pack_wheel rmw-tautline "$first: rmw_tautline for ROS 2 Jazzy and Kilted" \
-        "Requires-Python: >=3.8" "Requires-Dist: ros-rmw>=7.3.2,<7.9" "Requires-Dist: ros-rcutils>=6.7.4,<6.10" \
-        "Requires-Dist: ros-rosidl-runtime-c>=4.6.6,<4.10" "Requires-Dist: ros-fastcdr>=2.2.5,<2.4"
+    # Those with whose headers and libraries they are built.
+    case $(cd "$wheel/rmw_tautline" && echo */) in
+    jazzy/) of=Jazzy rmw="~=7.3.2" rcutils="~=6.7.4" rosidl="~=4.6.6" fastcdr="~=2.2.5" ;;
+    kilted/) of=Kilted rmw="~=7.8.2" rcutils="~=6.9.8" rosidl="~=4.9.5" fastcdr="~=2.3.3" ;;
+    *) of="Jazzy and Kilted" rmw=">=7.3.2,<7.9" rcutils=">=6.7.4,<6.10" rosidl=">=4.6.6,<4.10" fastcdr=">=2.2.5,<2.4" ;;
+    esac
+    pack_wheel rmw-tautline "$first: rmw_tautline for ROS 2 $of" "Requires-Python: >=3.8" "Requires-Dist: ros-rmw$rmw" \
+        "Requires-Dist: ros-rcutils$rcutils" "Requires-Dist: ros-rosidl-runtime-c$rosidl" "Requires-Dist: ros-fastcdr$fastcdr"
     ;;
 esac

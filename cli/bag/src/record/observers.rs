@@ -164,7 +164,7 @@ impl Observers {
             }
             graph => graph?,
         };
-        self.epoch = epoch;
+        (self.epoch, self.is_refused) = (epoch, false);
         let of_topics = graph.endpoints.iter().filter_map(|end| end.pid);
         self.processes = of_topics.chain(graph.services.iter().filter_map(|end| end.pid)).collect();
         self.processes.remove(&std::process::id());

@@ -402,7 +402,8 @@ mod tests {
 
     #[test]
     fn a_throttled_message_that_waited_for_room_is_kept() {
-        let participant = Participant::new(23).unwrap();
+        tautline_rt::domain::test_scope("test");
+        let participant = Participant::new(147).unwrap();
         let topic_type = TopicType::new("demo_msgs/msg/Bytes");
         let (qos, limits) = (Qos::keep_last(4), Limits { held: 1, ..Limits::default() });
         let publisher = participant.create_raw_publisher("/thinned", &topic_type, qos, limits).unwrap();
