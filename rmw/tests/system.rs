@@ -1134,7 +1134,7 @@ fn a_thread_of_a_forked_child_is_governed_anew() {
     let file = tempfile::NamedTempFile::new().unwrap();
     let callback = |name: &str, priority: u32| {
         format!(
-            "[nodes.{name}]\nclient = \"rclpy\"\n[callbacks.{name}]\ntopic = \"/{name}\"\nwcet = \"1ms\"\npriority = {priority}\n\
+            "[nodes.{name}]\nclient = \"rclpy\"\n[callbacks.{name}]\nnode = \"{name}\"\ntopic = \"/{name}\"\nwcet = \"1ms\"\npriority = {priority}\n\
              overrun = \"demote\"\n[topics.\"/{name}\"]\nperiod = \"1s\"\n"
         )
     };
