@@ -121,7 +121,8 @@ pub fn sizes(bench: &Bench<'_>) -> Result<Vec<Reading>> {
     for system in [&TAUTLINE, &ICEORYX] {
         let mut of_smallest = None;
         for &payload_bytes in sizes {
-            let of_it = bench.flow(Experiment::Sizes, payload_bytes, Flow { system, payload_bytes, ..SMALL })?;
+            let of_it =
+                bench.flow(Experiment::Sizes, payload_bytes, Flow { system, payload_bytes, ..SMALL })?;
             let p50 = of_it.iter().find(|row| row.what == OF_ONE).and_then(|row| row.column(Column::P50));
             rows.extend(of_it);
             let (Some(p50), Some(smallest)) = (p50, of_smallest.or(p50)) else { continue };
