@@ -48,9 +48,9 @@ impl NewFile {
                 let _ = fchown(&self.file, None, Some(before.gid()));
                 let _ = fchown(&self.file, Some(before.uid()), None);
                 self.file.set_permissions(Permissions::from_mode(before.mode() & 0o777))?;
+                // After a power cut there may be an empty file else, and the earlier one be gone.
+                self.file.sync_all()?;
             }
-            // Else it may be empty after a power cut.
-            self.file.sync_all()?;
             fs::rename(partial, &self.path)?;
             self.partial = None;
         }

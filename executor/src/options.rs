@@ -175,10 +175,11 @@ impl CallbackOptions {
     ///
     /// A high-resolution timer demotes the thread in the middle of the job, a few microseconds late. Only the job's own time counts, not
     /// the time of threads that preempted it or the time in which the job waited. A job that waits for a long time gets a signal each time
-    /// that the rest of its budget has passed, or 50 µs: its system calls may then return `EINTR`, and each signal takes a microsecond or two of the
-    /// budget, so that one which waits for milliseconds with less than 0.1 ms left may be demoted. Each job costs two more system calls: state them in the analysis (`demotion` in the system
-    /// file's overheads). Where timers do not reach a busy thread (PREEMPT_RT), a thread of higher priority does it, the
-    /// [enforcer](tautline_rt::prove_enforcement), at the cost of at most one system call and two runs of that thread for each job. A group's thread enforces each member's own budget, and demotes the members together.
+    /// that the rest of its budget has passed, or 50 µs: its system calls may then return `EINTR`, and each signal takes a microsecond or two
+    /// of the budget, so that one which waits for milliseconds with less than 0.1 ms left may be demoted. Each job costs two more system
+    /// calls: state them in the analysis (`demotion` in the system file's overheads). Where timers do not reach a busy thread (PREEMPT_RT), a
+    /// thread of higher priority does it, the [enforcer](tautline_rt::prove_enforcement), at the cost of at most one system call and two runs
+    /// of that thread for each job. A group's thread enforces each member's own budget, and demotes the members together.
     ///
     /// It requires a real-time policy and measured execution times, and does not apply to a busy-polling
     /// thread. With [`Realtime::Off`](crate::Realtime::Off) budgets are not enforced.

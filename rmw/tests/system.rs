@@ -1143,3 +1143,40 @@ fn a_thread_of_a_forked_child_is_governed_anew() {
     let (is_good, out, errors) = words_of(domain.python(FORKED).env("TAUT_SYSTEM", file.path()));
     assert!(is_good && out == "one True 40\ntwo True 30\n", "{out}{errors}");
 }
+
+/// Two threads that the file takes for one, as those of a MultiThreadedExecutor: one polls until the other, which can run, has done so.
+const POLLING: &str = r#"
+import rclpy, threading, time
+from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import String
+rclpy.init()
+subscriptions, executors, go, is_done = [], [], threading.Event(), threading.Event()
+for name in ("one", "two"):
+    node = rclpy.create_node("listener", namespace=name)
+    subscriptions.append(node.create_subscription(String, "/" + name, lambda message: None, 1))
+    executors.append(SingleThreadedExecutor())
+    executors[-1].add_node(node)
+def work():
+    executors[1].spin_once(timeout_sec=0)
+    go.wait()
+    is_done.set()
+worker = threading.Thread(target=work)
+worker.start()
+executors[0].spin_once(timeout_sec=0)
+go.set()
+end = time.monotonic() + 20
+while not is_done.is_set() and time.monotonic() < end: executors[0].spin_once(timeout_sec=0)
+print(is_done.is_set(), flush=True)
+is_done.wait()
+worker.join()
+rclpy.shutdown()
+"#;
+
+#[test]
+fn a_thread_that_polls_lets_those_of_its_priority_run() {
+    let Some(domain) = Domain::new(122).filter(|_| may_be_realtime()) else { return };
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), wrong_file(0, "")).unwrap();
+    let (is_good, out, errors) = words_of(domain.python(POLLING).env("TAUT_SYSTEM", file.path()));
+    assert!(is_good && out.trim() == "True", "{out}{errors}");
+}

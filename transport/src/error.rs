@@ -151,7 +151,7 @@ pub enum TransportError {
 impl TransportError {
     /// Whether the same may succeed later: the system said no, at its limit of open files for one. What a file is, and whose, does not
     /// change.
-    pub(crate) fn is_passing(&self) -> bool {
+    pub fn is_passing(&self) -> bool {
         matches!(self, TransportError::File { source, .. } if source.raw_os_error().is_some())
     }
 }

@@ -113,30 +113,30 @@ pub fn clouds(bench: &Bench<'_>) -> Result<Vec<Reading>> {
     beside_iceoryx(flow, OF_ONE, [(Column::P50, TWO_WAKES), (Column::P999, UNKNOWN)])
 }
 
-/// Payloads of any size take as long as the smallest one.
+/// Payloads of which nobody copies take as long as the smallest one, whatever their size.
 pub fn sizes(bench: &Bench<'_>) -> Result<Vec<Reading>> {
-    let sizes: &[usize] =
-        if bench.quick { &[SMALL_BYTES, IMAGE_BYTES] } else { &[SMALL_BYTES, CLOUD_BYTES, IMAGE_BYTES] };
-    let mut rows = Vec::new();
-    for system in [&TAUTLINE, &ICEORYX] {
-        let mut of_smallest = None;
-        for &payload_bytes in sizes {
-            let of_it =
-                bench.flow(Experiment::Sizes, payload_bytes, Flow { system, payload_bytes, ..SMALL })?;
-            let p50 = of_it.iter().find(|row| row.what == OF_ONE).and_then(|row| row.column(Column::P50));
-            rows.extend(of_it);
-            let (Some(p50), Some(smallest)) = (p50, of_smallest.or(p50)) else { continue };
-            of_smallest = Some(smallest);
-            if system.name == TAUTLINE.name {
-                let row = Reading::of(Experiment::Sizes, payload_bytes, "that, p50", "x that of 64 B");
-                rows.push(row.value(p50 / smallest).at_most(FLAT));
-            }
+    let larger: &[usize] = if bench.quick { &[IMAGE_BYTES] } else { &[CLOUD_BYTES, IMAGE_BYTES] };
+    let flow = |system, payload_bytes| {
+        bench.flow(Experiment::Sizes, payload_bytes, Flow { system, payload_bytes, ..SMALL })
+    };
+    let latency = |rows: &[Reading]| rows.iter().find(|row| row.what == OF_ONE).map(|row| row.p50);
+    let mut rows = flow(&TAUTLINE, SMALL_BYTES)?;
+    let smallest = latency(&rows);
+    for &payload_bytes in larger {
+        let of_it = flow(&TAUTLINE, payload_bytes)?;
+        if let Some((p50, smallest)) = latency(&of_it).zip(smallest) {
+            let row = Reading::of(Experiment::Sizes, payload_bytes, "median latency", "x that of 64 B");
+            rows.push(row.value(p50 / smallest).at_most(FLAT));
         }
+        rows.extend(of_it);
+    }
+    for &payload_bytes in [SMALL_BYTES].iter().chain(larger) {
+        rows.extend(flow(&ICEORYX, payload_bytes)?);
     }
     Ok(rows)
 }
 
-/// The most that a size may matter.
+/// The goal for a larger payload's latency, in that of the smallest.
 const FLAT: f64 = 1.1;
 const PUBLISHING: &str = "publishing: loan, write a stamp, publish, wake";
 const OF_ONE: &str = "from before the loan until a subscription has read it";

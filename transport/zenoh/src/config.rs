@@ -172,8 +172,9 @@ impl SessionConfig {
         let is = |key: &str, value: &str| self.zenoh.get_json(key).is_ok_and(|text| text == value);
         let denies =
             is("access_control/enabled", "true") && is("access_control/default_permission", "\"deny\"");
-        let asks = is("transport/link/tls/enable_mtls", "true");
-        let is_guarded = |endpoint: &String| is_loopback(endpoint) || asks_certificate(endpoint, asks);
+        let by_default = is("transport/link/tls/enable_mtls", "true");
+        let is_guarded =
+            |endpoint: &String| is_loopback(endpoint) || requires_client_certificate(endpoint, by_default);
         !(denies || self.listen.iter().all(is_guarded))
     }
 
@@ -308,7 +309,7 @@ pub(crate) fn is_loopback(endpoint: &str) -> bool {
 
 /// Whether who connects to this endpoint must have a certificate. TLS alone asks for none: `enable_mtls` does, the endpoint's own or, without
 /// that, the configuration's.
-fn asks_certificate(endpoint: &str, by_default: bool) -> bool {
+fn requires_client_certificate(endpoint: &str, by_default: bool) -> bool {
     let own = endpoint.split_once('#').map_or("", |(_, own)| own);
     let own = own.split(';').find_map(|setting| setting.strip_prefix("enable_mtls="));
     let is_tls = endpoint.starts_with("tls/") || endpoint.starts_with("quic/");

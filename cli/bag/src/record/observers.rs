@@ -16,7 +16,7 @@ use tautline_bag::{Definition, Topic};
 use tautline_definitions::find_schema;
 use tautline_transport::{
     Durability, EndpointKind, Gid, GraphSnapshot, Limits, Participant, Qos, RawSubscription, ServiceEndpoint,
-    ServiceType, TopicEndpoint, TopicType, TransportError,
+    ServiceType, TopicEndpoint, TopicType,
 };
 
 /// The most messages of a queue for the recorder, which has at most [`QUEUE_BYTES`] unless the QoS requires more.
@@ -154,7 +154,7 @@ impl Observers {
             return Ok(());
         }
         let graph = match self.participant.graph() {
-            Err(error) if is_passing(&error) => {
+            Err(error) if error.is_passing() => {
                 if !std::mem::replace(&mut self.is_refused, true) {
                     tell(&format!(
                         "warning: new topics are recorded only when the system permits it: {error}"
@@ -260,7 +260,7 @@ impl Observers {
     /// The recorder goes on after a pause: it gets again what publishers keep for late joiners.
     pub fn renew(&self, tell: impl Fn(&str)) -> Outcome {
         let graph = match self.participant.graph() {
-            Err(error) if is_passing(&error) => {
+            Err(error) if error.is_passing() => {
                 tell(&format!("warning: what publishers keep for late joiners is not recorded: {error}"));
                 return Ok(());
             }
@@ -368,11 +368,6 @@ impl Observers {
         let absent = named.chain(&self.refused).cloned().collect::<BTreeSet<_>>();
         (self.topics, self.before, absent.into_iter().collect())
     }
-}
-
-/// Whether the next look may succeed: the system refused this one, at its limit of open files for one.
-pub fn is_passing(error: &TransportError) -> bool {
-    matches!(error, TransportError::File { source, .. } if source.raw_os_error().is_some())
 }
 
 fn publishers<'e>(ends: &'e [&'e TopicEndpoint]) -> impl Iterator<Item = &'e TopicEndpoint> {

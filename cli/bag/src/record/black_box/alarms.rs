@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Decides when the black box is written: a deadline is missed, a process dies, a topic falls silent, or the user requests it.
 
-use super::super::observers::{Observers, is_passing};
+use super::super::observers::Observers;
 use super::say;
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
@@ -121,9 +121,9 @@ impl Alarms {
             found.push((Kind::Request, String::new(), "it was asked for".to_owned()));
         }
         match self.visitor.graph() {
-            Ok(graph) => self.graph = graph,
+            Ok(graph) => (self.graph, self.is_refused) = (graph, false),
             // What was there at the last look serves until the next.
-            Err(error) if is_passing(&error) => {
+            Err(error) if error.is_passing() => {
                 if !std::mem::replace(&mut self.is_refused, true) {
                     say(&format!(
                         "taut: warning: deaths are noticed only when the system permits it: {error}"
