@@ -63,7 +63,9 @@ pub fn nextest(whole: &str) -> String {
 /// The workspace's programs that tests elsewhere run. With a test and the features of the workspace's tests, by which cargo takes
 /// the features that these have of everything, and builds nothing twice.
 pub fn programs() -> String {
-    format!("build --locked {WORKSPACE} --bin taut --bin taut-bag --bin taut-top --bin taut-gateway --test component")
+    format!(
+        "build --locked {WORKSPACE} --bin taut --bin taut-bag --bin taut-top --bin taut-gateway --test component"
+    )
 }
 
 const BRIDGE: &str = "--manifest-path bridge-ros/Cargo.toml --locked";
