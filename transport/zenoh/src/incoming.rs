@@ -55,9 +55,10 @@ const MOST_RETRIES: u32 = 5;
 
 /// An incoming topic. Dropping it ends the subscriptions on the network.
 pub(crate) struct Incoming {
+    entrance: Arc<Entrance>,
     gate: Arc<Gate>,
     retries: Option<Retries>,
-    _subscribers: Vec<Subscriber<()>>,
+    _samples: [Subscriber<()>; 2],
 }
 
 /// Of a transient-local topic: requests to publishers that were missed.
@@ -67,21 +68,33 @@ struct Retries {
     keeping: BTreeMap<SessionId, usize>,
     count: u32,
     next: Instant,
+    _publishers: [Subscriber<()>; 2],
 }
 
 impl Incoming {
+    /// Starts taking a topic's samples. If `old` took them until now, its subscriptions stay and `ingress` continues where its own ends, so
+    /// that no sample is missed in between.
     pub(crate) fn start(
         session: &Session,
         key: &TopicKey,
         inward: &Inward,
-        ingress: Ingress,
-        waiting: Vec<(Sample, MessageMeta)>,
+        mut ingress: Ingress,
+        old: Option<Incoming>,
         max_bytes: usize,
         claims: ClaimQueue,
     ) -> zenoh::Result<Self> {
         let qos = &inward.qos;
         let is_kept = qos.durability == Durability::TransientLocal;
         let kept = is_kept.then(|| KeptSamples::new(qos.depth, qos.reliability == Reliability::Reliable));
+        let entrance: Arc<Entrance> = old.as_ref().map(|old| old.entrance.clone()).unwrap_or_default();
+        // Samples wait until the new gate is there.
+        let mut inside = entrance.0.lock();
+        let mut waiting = Vec::new();
+        if let Some(Way { port, .. }) = old.as_ref().and_then(|old| old.gate.0.lock().take()) {
+            let SampleAdmission { ingress: former, mut unclaimed, .. } = port;
+            ingress.take_over(former, false);
+            waiting.extend(std::iter::from_fn(|| unclaimed.pop()));
+        }
         let gate = Arc::new_cyclic(|gate: &Weak<Gate>| {
             let unclaimed = Unclaimed::new(gate.clone(), claims);
             Gate(PiMutex::new(Some(Way { kept, port: SampleAdmission { ingress, max_bytes, unclaimed } })))
@@ -89,26 +102,22 @@ impl Incoming {
         gate.with(|way| {
             waiting.into_iter().for_each(|(sample, source)| way.port.keep_unclaimed(sample, source));
         });
-        let of_group = gate.clone();
-        // Newer publishers of images and the like use this key.
-        let cpu_group = session.declare_subscriber(key.cpu_group()).allowed_origin(Locality::Remote);
-        // Their sequence numbers also count samples to other subscriptions: gaps are not losses.
-        let cpu_group =
-            cpu_group.callback(move |sample| of_group.with(|way| way.port.take(sample, false))).wait()?;
         let requests =
             Requests { session: session.clone(), gate: Arc::downgrade(&gate), key: key.to_string() };
-        let samples = session.declare_subscriber(key.to_string()).allowed_origin(Locality::Remote);
-        let (receiving, lost) = (gate.clone(), requests.clone());
-        let samples = samples.callback(move |sample| lost.send(receiving.with(|way| way.receive(sample))));
-        let mut subscribers = vec![cpu_group, samples.wait()?];
+        *inside = Some(requests.clone());
+        drop(inside);
+        let samples = match old {
+            Some(old) => old._samples,
+            None => Entrance::declare(&entrance, session, key)?,
+        };
         let mut retries = None;
         if is_kept {
             // After the samples: what is published after an answer arrives.
-            subscribers.extend(requests.watch()?);
+            let _publishers = requests.watch()?;
             let (keeping, count, next) = (BTreeMap::new(), 0, Instant::now());
-            retries = Some(Retries { requests, keeping, count, next });
+            retries = Some(Retries { requests, keeping, count, next, _publishers });
         }
-        Ok(Incoming { gate, retries, _subscribers: subscribers })
+        Ok(Incoming { entrance, gate, retries, _samples: samples })
     }
 
     pub(crate) fn is_kept(&self) -> bool {
@@ -136,11 +145,42 @@ impl Incoming {
     pub(crate) fn change(&self, change: IngressUpdate) {
         self.gate.with(|way| way.port.ingress.change(change));
     }
+}
 
-    /// Ends this one and returns its ingress for the next, and the messages that wait for memory.
-    pub(crate) fn end(self) -> Option<(Ingress, Vec<(Sample, MessageMeta)>)> {
-        let SampleAdmission { ingress, mut unclaimed, .. } = self.gate.0.lock().take()?.port;
-        Some((ingress, std::iter::from_fn(|| unclaimed.pop()).collect()))
+/// Where samples come in, whichever gate they go through.
+#[derive(Default)]
+struct Entrance(PiMutex<Option<Requests>>);
+
+impl Entrance {
+    fn declare(
+        entrance: &Arc<Entrance>,
+        session: &Session,
+        key: &TopicKey,
+    ) -> zenoh::Result<[Subscriber<()>; 2]> {
+        let (of_group, of_topic) = (entrance.clone(), entrance.clone());
+        // Newer publishers of images and the like use this key.
+        let cpu_group = session.declare_subscriber(key.cpu_group()).allowed_origin(Locality::Remote);
+        // Their sequence numbers also count samples to other subscriptions: gaps are not losses.
+        let cpu_group = cpu_group.callback(move |sample| {
+            of_group.pass(|way| {
+                way.port.take(sample, false);
+                None
+            });
+        });
+        let cpu_group = cpu_group.wait()?;
+        let samples = session.declare_subscriber(key.to_string()).allowed_origin(Locality::Remote);
+        let samples = samples.callback(move |sample| of_topic.pass(|way| way.receive(sample)));
+        Ok([cpu_group, samples.wait()?])
+    }
+
+    fn pass(&self, receive: impl FnOnce(&mut Way) -> Option<Request>) {
+        let inside = self.0.lock();
+        let Some(requests) = &*inside else { return };
+        let Some(gate) = requests.gate.upgrade() else { return };
+        let Some(request) = gate.with(receive) else { return };
+        let requests = requests.clone();
+        drop(inside);
+        requests.send(Some(request));
     }
 }
 

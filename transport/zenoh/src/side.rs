@@ -323,21 +323,17 @@ impl FarSide for NetworkSide {
         sender.map_err(|error| error.to_string())
     }
 
-    fn start_in(&mut self, key: &InKey, inward: &Inward, mut ingress: Ingress) -> Result<(), String> {
+    fn start_in(&mut self, key: &InKey, inward: &Inward, ingress: Ingress) -> Result<(), String> {
         let wire_key = self.wire_key(&key.topic)?;
         // After a restart, kept samples are requested again, so that the new port has them for late joiners here.
-        let mut waiting = Vec::new();
-        if let Some((old, unclaimed)) = self.incoming.remove(key).and_then(Incoming::end) {
-            ingress.take_over(old, key.is_kept());
-            waiting = unclaimed;
-        }
+        let old = self.incoming.remove(key);
         if self.types.schema(&wire_key.type_id).is_none() {
             self.undescribed.insert(wire_key.clone());
             self.descriptions.request(&self.session, &wire_key, &self.graph);
         }
         let max_bytes = self.options.max_message_bytes;
         let claims = self.claims.queue();
-        let started = Incoming::start(&self.session, &wire_key, inward, ingress, waiting, max_bytes, claims);
+        let started = Incoming::start(&self.session, &wire_key, inward, ingress, old, max_bytes, claims);
         self.incoming.insert(key.clone(), started.map_err(|error| error.to_string())?);
         Ok(())
     }
