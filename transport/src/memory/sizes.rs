@@ -67,13 +67,11 @@ impl Demand {
 }
 
 /// How many samples of a publisher are used in turn, in the order in which they are freed: as few as take until then to leave the caches
-/// of the two cores that touched them, and no more than the cache that these share can hold.
+/// of the two cores that touched them. Of the cache that these share, others have their parts: more samples in turn would have to be fetched
+/// from memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Window {
-    /// Bytes for which spare samples are claimed.
-    spare_bytes: usize,
-    /// Bytes that are used in turn at most.
-    most_bytes: usize,
+    bytes: usize,
 }
 
 impl Window {
@@ -81,15 +79,13 @@ impl Window {
         Window::of(Caches::of_machine())
     }
 
-    /// Both caches twice, and a quarter of the one that is shared, if that is more than both.
+    /// Both caches twice, or a quarter of the one that is shared if that is less; nothing if even both have no room there.
     fn of(Caches { l2_bytes, l3_bytes }: Caches) -> Self {
-        let most_bytes = if l3_bytes / 4 > 2 * l2_bytes { l3_bytes / 4 } else { 0 };
-        Window { spare_bytes: (4 * l2_bytes).min(most_bytes), most_bytes }
+        Window { bytes: if l3_bytes / 4 > 2 * l2_bytes { (4 * l2_bytes).min(l3_bytes / 4) } else { 0 } }
     }
 
     pub(crate) fn in_turn(self, sample_bytes: usize) -> usize {
-        let count = (self.most_bytes + sample_bytes / 2) / sample_bytes;
-        if sample_bytes < LEAST_IN_TURN { 1 } else { count.max(1) }
+        if sample_bytes < LEAST_IN_TURN { 1 } else { 1 + self.bytes / sample_bytes }
     }
 
     /// Samples to have beyond those that can be in flight.
@@ -103,7 +99,7 @@ impl Window {
         if held == 0 || sample_bytes < LEAST_IN_TURN || limits.claim == Claim::OnUse {
             return 0;
         }
-        let wanted = (self.spare_bytes / sample_bytes).saturating_sub(samples);
+        let wanted = (self.bytes / sample_bytes).saturating_sub(samples);
         wanted.min(limits.spare_bytes / sample_bytes)
     }
 }
@@ -155,11 +151,14 @@ mod tests {
     #[test]
     fn samples_are_used_in_turn_by_the_caches() {
         let (mib, epyc) = (1 << 20, Window::of(Caches { l2_bytes: 1 << 20, l3_bytes: 32 << 20 }));
+        // A part of a third level of 480 MiB is what a virtual machine has of it.
+        let xeon = Window::of(Caches { l2_bytes: 2 << 20, l3_bytes: 480 << 20 });
         let in_turn = |window: Window| {
             [64, 4 << 10, 16 << 10, 64 << 10, mib, 4 * mib, 8 * mib, 64 * mib]
                 .map(|body| window.in_turn(sample_bytes(body)))
         };
-        assert_eq!(in_turn(epyc), [1, 1, 510, 128, 8, 2, 1, 1]);
+        assert_eq!(in_turn(epyc), [1, 1, 256, 64, 4, 1, 1, 1]);
+        assert_eq!(in_turn(xeon), [1, 1, 511, 128, 8, 2, 1, 1]);
         // Nothing is shared, or less than the cores have for themselves.
         for l3_bytes in [0, 2 * mib] {
             assert_eq!(
