@@ -3,7 +3,7 @@
 
 use std::fmt::Write;
 
-use tautline_harness::rows::Row;
+use tautline_harness::rows::{Row, median};
 use tautline_harness::table::{distinct, figure as us, markdown, size};
 
 use crate::callbacks::{FLOOD, QUIET};
@@ -97,18 +97,72 @@ fn all_us<const N: usize>(numbers: [Option<f64>; N]) -> String {
 
 fn compare(rows: &[Row]) -> String {
     let held = "latency/whole/held-off";
+    let shipped = "latency/whole/as-shipped";
     let (apart, at_once) = ("robot/20x100Hz/as-shipped", "robot/20x100Hz/at-once/as-shipped");
     let both = |row: &Row| all_us([row.p50_us, row.p99_us]);
+    let tail = |row: &Row| all_us([row.p99_us, row.p999_us]);
     let columns = [
         column("64 B", held, 64, both),
         column("1 MiB", held, 1 << 20, both),
         column("8 MiB", held, 8 << 20, both),
-        column("1 kHz under load, p99.9", "open-loop/load/held-off", 1024, |row| us(row.p999_us)),
+        column("1 kHz under load, p99 / p99.9", "open-loop/load/held-off", 1024, tail),
         column("robot: CPU", apart, 4096, |row| us(row.cpu_us_per_msg)),
         column("at once", at_once, 4096, |row| us(row.cpu_us_per_msg)),
         column("robot: MiB", apart, 4096, |row| us(row.rss_mib)),
     ];
-    table(rows, "system", &columns)
+    let stream = "throughput/held-off";
+    let interval = |bytes| column(size(bytes), stream, bytes, |row| us(interval_us(row)));
+    let start = |title, experiment| column(title, experiment, 64, |row| us(row.p50_us.map(|us| us / 1e3)));
+    let starts = [
+        start("first message", "start-up/first-message/as-shipped"),
+        start("to a late joiner", "start-up/late-joiner/as-shipped"),
+        start("on each of 100 topics", "start-up/100-topics/as-shipped"),
+    ];
+    let kinds = [
+        ("in one process", "fan-out/one-process/held-off", ["1", "4", "8", "16"]),
+        ("in as many processes", "fan-out/processes/held-off", ["2", "4", "8", "16"]),
+    ];
+    let counts = kinds.into_iter().flat_map(|(title, kind, counts)| {
+        counts.map(|count| (format!("{count} {title}"), format!("{kind}/{count}")))
+    });
+    let is_measured = |experiment: &str| rows.iter().any(|row| row.n > 0 && row.experiment == experiment);
+    let counts: Vec<(String, String)> = counts.filter(|(_, experiment)| is_measured(experiment)).collect();
+    let fan_out = counts
+        .iter()
+        .map(|(title, experiment)| column(title, experiment, 1 << 20, |row| us(row.p50_us)))
+        .collect::<Vec<_>>();
+    let by_size: Vec<_> = sizes(rows, held).into_iter().map(|bytes| pair([held, shipped], bytes)).collect();
+    let streams: Vec<_> = sizes(rows, stream).into_iter().map(interval).collect();
+    [
+        table(rows, "system", &columns),
+        titled("By size, half a round trip, p50 in µs (idle states held off / as shipped)", rows, &by_size),
+        titled("Streams by size, from one message to the next in µs", rows, &streams),
+        titled("Start to the first message, in ms", rows, &starts),
+        titled("1 MiB to several subscriptions, until the last has it, p50 in µs", rows, &fan_out),
+    ]
+    .concat()
+}
+
+/// Nothing where nothing was measured.
+fn titled(title: &str, rows: &[Row], columns: &[Column<'_>]) -> String {
+    let table = table(rows, "system", columns);
+    if table.lines().nth(2).is_none() { String::new() } else { format!("\n{title}:\n\n{table}") }
+}
+
+/// Of a stream: the median round.
+fn interval_us(row: &Row) -> Option<f64> {
+    median(row.rounds.iter().filter_map(|round| Some(1e6 / round.msgs_per_s?)).collect())
+}
+
+/// Medians of two experiments, in one column.
+fn pair<'a>(experiments: [&'a str; 2], bytes: usize) -> Column<'a> {
+    let [(title, one), (_, other)] =
+        experiments.map(|name| column(size(bytes), name, bytes, |row| us(row.p50_us)));
+    let both = move |rows: &[&Row]| match [one(rows), other(rows)] {
+        [one, other] if one == "-" && other == "-" => "-".to_owned(),
+        both => both.join(" / "),
+    };
+    (title, Box::new(both))
 }
 
 fn wake(rows: &[Row]) -> String {
@@ -118,12 +172,8 @@ fn wake(rows: &[Row]) -> String {
         column("idle states held off", "latency/untouched/held-off", 64, times),
     ];
     let (untouched, whole) = ("latency/untouched/held-off", "latency/whole/held-off");
-    let of_size = |bytes| {
-        let [(_, one), (title, other)] =
-            [untouched, whole].map(|name| column(size(bytes), name, bytes, |row| us(row.p50_us)));
-        (title, Box::new(move |rows: &[&Row]| format!("{} / {}", one(rows), other(rows))) as Box<_>)
-    };
-    let by_size: Vec<Column<'_>> = sizes(rows, whole).into_iter().map(of_size).collect();
+    let by_size: Vec<_> =
+        sizes(rows, whole).into_iter().map(|bytes| pair([untouched, whole], bytes)).collect();
     format!(
         "64 B, from one process to another, half a round trip, in µs (p50 / p99 / p99.9 / max):\n\n{}\n\
          By size, idle states held off, p50 in µs (payload untouched / all of it written and read):\n\n{}",
@@ -174,6 +224,7 @@ fn network(rows: &[Row]) -> String {
 mod tests {
     use super::*;
     use crate::report::tests::row;
+    use tautline_harness::rows::Round;
 
     #[test]
     fn the_comparison_has_a_line_per_way_and_names_what_is_left_out() {
@@ -183,8 +234,15 @@ mod tests {
             n: 0,
             ..row(experiment, system, mode, 1 << 20, 1.0)
         };
+        let of_round = Round { msgs_per_s: Some(2e6), ..Round::default() };
+        let stream =
+            Row { rounds: vec![of_round], ..row("throughput/held-off", "tautline", "stream", 64, 9.0) };
         let rows = [
             row(held, "tautline", "m", 64, 5.0),
+            row("latency/whole/as-shipped", "tautline", "own-default", 64, 7.0),
+            stream,
+            row("start-up/100-topics/as-shipped", "tautline", "m", 64, 2_000.0),
+            row("fan-out/processes/held-off/4", "tautline", "m", 1 << 20, 600.0),
             Row {
                 cpu_us_per_msg: Some(40.0),
                 ..row("robot/20x100Hz/as-shipped", "tautline", "m", 4096, 5.0)
@@ -198,6 +256,10 @@ mod tests {
         for line in [
             "| tautline, m | 5.00 / 5.00 | - | - | - | 40.00 | - | - |",
             "| fastdds, m | 500 / 500 | - | - | - | - | - | - |",
+            "| system | 64 B |\n|---|--:|\n| tautline, m | 5.00 / - |\n| tautline, own-default | - / 7.00 |\n| fastdds, m | 500 / - |\n",
+            "| tautline, stream | 0.50 |\n",
+            "| tautline, m | - | - | 2.00 |\n",
+            "| system | 4 in as many processes |\n|---|--:|\n| tautline, m | 600 |\n",
             "Left out: fastdds, m (latency/whole/held-off: not measured: why); copper (not measured: why).",
         ] {
             assert!(tables.contains(line), "{line}\n{tables}");

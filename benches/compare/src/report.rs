@@ -316,9 +316,9 @@ pub mod tests {
     fn every_claim_is_about_what_is_measured() {
         let all = everything();
         let report = Report::of_rows(all.clone());
-        // 55 of latency, 13 of large messages, 7 of wakes, 1 under load, 1 of fan-out, 5 of the robot, 26 of streams, 10 of starts, 2 of
+        // 104 of latency, 13 of large messages, 7 of wakes, 2 under load, 1 of fan-out, 5 of the robot, 34 of streams, 10 of starts, 2 of
         // requests, 8 over gateways, 5 of callbacks.
-        assert_eq!(report.verdicts.len(), 133);
+        assert_eq!(report.verdicts.len(), 191);
         for verdict in report.verdicts {
             assert!(verdict.outcome != NotMeasured, "{verdict}");
         }
