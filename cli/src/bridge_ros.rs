@@ -12,7 +12,7 @@ const BRIDGE: Sibling = Sibling {
     program: "taut-bridge-ros",
     build: "it needs a ROS 2: source one (source /opt/ros/jazzy/setup.bash, or what `cargo xtask ros` says), then build it with \
             `cargo build --release --manifest-path bridge-ros/Cargo.toml --target-dir target`, or install it with \
-            `cargo install --path bridge-ros`",
+            `cargo install --locked --path bridge-ros`",
 };
 
 /// Joins Tautline's topics with those of a ROS 2 graph.

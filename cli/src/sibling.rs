@@ -29,7 +29,7 @@ macro_rules! packaged {
                 "if taut was installed from a package, reinstall that (`pip install --force-reinstall taut`, `apt reinstall tautline`); \
                  otherwise build it with `cargo build --release -p ",
                 $package,
-                "`, or install it with `cargo install --path ",
+                "`, or install it with `cargo install --locked --path ",
                 $folder,
                 "`"
             ),

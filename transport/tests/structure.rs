@@ -232,7 +232,8 @@ fn read_path<'a>(
                         "," => place + 1,
                         // `A as B`
                         "as" => place + 2,
-                        _ => read_path(tokens, place, &path, found),
+                        // At least past a `*`.
+                        _ => read_path(tokens, place, &path, found).max(place + 1),
                     };
                 }
                 return place + 1;

@@ -252,10 +252,10 @@ they get by with ARM's weak memory order.")]
     #[command(after_help = "Examples:
   cargo xtask dist                     all, some minutes
   cargo xtask dist --only tarball,deb
-  cargo xtask dist --architecture arm64   for Raspberry Pi 5 and others: all but wheels of rmw_tautline
+  cargo xtask dist --architecture arm64   for Raspberry Pi 5 and others: all but wheels of rmw_tautline, crates, SBOM
   cargo xtask dist --only crates       also checks that all published crates build without this repository
 
-Wheels need Python 3.11 and PyPI, the SBOM a tool that is built in a minute. Each file names a glibc of 2.35 at most, or it is refused.")]
+Wheels need Python 3.10 to 3.13 and PyPI, the SBOM a tool that is built in a minute. Each file names a glibc of 2.35 at most, or it is refused.")]
     Dist {
         /// Only these parts [default: all]
         #[arg(long, value_name = "PART,...", value_delimiter = ',', value_enum)]

@@ -120,9 +120,9 @@ fn make_prefix(venv: &Path, prefix: &Path) -> io::Result<()> {
     for name in ["include", "share"] {
         symlink(venv.join(name), prefix.join(name))?;
     }
-    let packages = venv.join("lib/python3.11/site-packages");
-    let bundled =
-        files(&packages)?.into_iter().filter(|(name, _)| name.starts_with("ros_") && name.ends_with(".libs"));
+    let bundled = files(&site_packages(venv)?)?
+        .into_iter()
+        .filter(|(name, _)| name.starts_with("ros_") && name.ends_with(".libs"));
     for folder in std::iter::once(venv.join("lib")).chain(bundled.map(|(_, path)| path)) {
         for (name, path) in files(&folder)?.into_iter().filter(|(name, _)| name.contains(".so")) {
             let link = lib.join(&name);
@@ -140,6 +140,13 @@ fn make_prefix(venv: &Path, prefix: &Path) -> io::Result<()> {
 fn files(folder: &Path) -> io::Result<Vec<(String, PathBuf)>> {
     let named = |entry: fs::DirEntry| (entry.file_name().to_string_lossy().into_owned(), entry.path());
     fs::read_dir(folder)?.map(|entry| entry.map(named)).collect()
+}
+
+/// That of the environment's Python, of whatever version.
+fn site_packages(venv: &Path) -> io::Result<PathBuf> {
+    let python = files(&venv.join("lib"))?.into_iter().find(|(name, _)| name.starts_with("python3."));
+    let (_, folder) = python.ok_or_else(|| io::Error::other(format!("{}: no Python", venv.display())))?;
+    Ok(folder.join("site-packages"))
 }
 
 fn make_empty_library(name: &str, path: &Path) -> io::Result<()> {

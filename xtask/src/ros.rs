@@ -140,13 +140,13 @@ pub fn make_venv(
     fs::write(complete, names).map_err(say)
 }
 
-/// A Python of the version that the wheels are built for.
+/// A Python of a version that the wheels are built for; of CI's, if it is there.
 pub fn python() -> Result<String, String> {
-    let is_311 = |python: &str| {
+    let fits = |python: &str| {
         let mut command = Command::new(python);
-        command.args(["-c", "import sys, venv; sys.exit(sys.version_info[:2] != (3, 11))"]);
+        command.args(["-c", "import sys, venv; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))"]);
         command.stdout(Stdio::null()).stderr(Stdio::null()).status().is_ok_and(|status| status.success())
     };
-    let python = ["python3.11", "python3"].into_iter().find(|python| is_311(python)).map(str::to_owned);
-    python.ok_or("the wheels need Python 3.11: install python3.11 with its venv module".to_owned())
+    let python = ["python3.11", "python3"].into_iter().find(|python| fits(python)).map(str::to_owned);
+    python.ok_or("the wheels need Python 3.10 to 3.13 with its venv module: install python3-venv".to_owned())
 }
