@@ -74,10 +74,11 @@ fn a_stream_goes_on_when_its_topic_is_to_be_kept() {
         map.publish(b"a map").unwrap();
         let late = b.subscription("/map", &string_type(), kept);
         let mut heard = Vec::new();
-        until("the map", || {
+        // Nothing comes to it before the way keeps samples.
+        until("a sample for the late one", || {
             let samples = std::iter::from_fn(|| subscription.try_take_valid().unwrap());
             heard.extend(samples.filter_map(|sample| sample.body().try_into().ok().map(u64::from_le_bytes)));
-            std::iter::from_fn(|| late.try_take_valid().unwrap()).any(|sample| sample.body() == b"a map")
+            late.try_take_valid().unwrap().is_some()
         });
         has_ended.store(true, Ordering::Relaxed);
         let (count, _publisher) = streaming.join().unwrap();
