@@ -108,14 +108,13 @@ fn not_made(named: &[Part], architecture: Architecture, of: &[Distribution]) -> 
 
 /// A sourced ROS 2 is built with, so it has to be the one that the package names.
 fn refuse_other_ros() -> Result<(), String> {
-    let (chosen, sourced) = (ros::distribution(), std::env::var("ROS_DISTRO").unwrap_or_default());
-    let is_used = ros::chosen() == Distribution::default() && std::env::var_os("AMENT_PREFIX_PATH").is_some();
-    if !is_used || sourced == chosen {
-        return Ok(());
+    let chosen = ros::distribution();
+    match r2r::sourced() {
+        Some(sourced) if sourced != chosen => Err(format!(
+            "ROS 2 {sourced} is sourced, and this package would name {chosen}: use a shell that has sourced none, or --distro"
+        )),
+        _ => Ok(()),
     }
-    Err(format!(
-        "ROS 2 {sourced} is sourced, and this package would name {chosen}: use a shell that has sourced none, or --distro"
-    ))
 }
 
 /// The same for the chosen ROS 2.

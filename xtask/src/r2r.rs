@@ -33,11 +33,16 @@ pub const RPATH: &str = "TAUT_ROS_RPATH";
 /// What programs need to be built and to run.
 pub type Environment = Vec<(&'static str, String)>;
 
+/// The distribution that is sourced, if builds use it: where another one than the default was chosen they do not.
+pub fn sourced() -> Option<String> {
+    let sourced = env::var("ROS_DISTRO").ok().filter(|_| env::var_os("AMENT_PREFIX_PATH").is_some());
+    sourced.filter(|_| ros::chosen() == Distribution::default())
+}
+
 /// Variables that a build needs beside those that are set: none where a ROS 2 is sourced, no other is chosen, and the system has libclang.
 pub fn environment() -> Result<Environment, String> {
     let mut variables = Vec::new();
-    let is_sourced = ["AMENT_PREFIX_PATH", "ROS_DISTRO"].iter().all(|name| env::var_os(name).is_some());
-    if !is_sourced || ros::chosen() != Distribution::default() {
+    if sourced().is_none() {
         let prefix = wheels()?;
         let text = |path: &Path| path.display().to_string();
         variables.extend([("AMENT_PREFIX_PATH", text(&prefix)), ("ROS_DISTRO", ros::distribution())]);

@@ -13,7 +13,7 @@ const MIB: usize = 1 << 20;
 
 /// Our ways that sleep; the last serves all topics by one callback.
 const SLEEPING: &[&str] = &["blocking", "direct", "one-thread"];
-/// The same as they are without any setting.
+/// The same with idle states as shipped, and the way that holds these off by itself.
 const AS_SHIPPED: &[&str] = &["blocking", "direct", "one-thread", "own-default"];
 /// Those with a thread for each callback.
 const THREADS: &[&str] = &["blocking", "direct"];
@@ -314,7 +314,7 @@ const BATCHES: &str = "it packs many small messages into one packet, which goes 
 const CONNECTED: &str = "each publisher is announced and connected as it is made, some tens of µs; the rest is the tries, one in 10 ms, of which every system needs more than one, and a little more is a whole try more";
 const COPIED_ONCE_MORE: &str =
     "each message wakes three threads more, and is copied once more, from Zenoh's packets into shared memory";
-const FILLING: &str = "nearly all of it is filling and reading the payload, whose cost is where its lines are: where two cores share less cache than the kernel says, more buffers in turn are faster than Tautline uses, and stores that go around the caches are";
+const FILLING: &str = "nearly all of it is filling and reading the payload, whose cost is where its lines are: where two cores share less cache than the kernel says, more buffers in turn than Tautline uses would be faster, and where they share the second level, fewer";
 const JANITOR: &str = "in each process a janitor thread looks at the ports when they have changed, which here is spread over some tens of messages; and with several subscriptions in a process a thread is woken for each";
 const QUEUES: &str = "beyond the floor is what loaning, queueing and taking each of the 20 messages costs, and nobody sleeps between them";
 const RARE: &str = "no cause in Tautline is known: a tail of few messages, which changes from run to run";

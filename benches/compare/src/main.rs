@@ -52,7 +52,7 @@ use tautline_rt::permission;
 /// Measures Tautline beside other middleware.
 #[derive(Parser)]
 #[command(after_help = "Examples:
-  cargo xtask bench compare --quick                                   under five minutes, once it is built
+  cargo xtask bench compare --quick                                   under ten minutes, once it is built
   cargo xtask bench compare --json compare.json --html compare.html   about an hour
   cargo xtask bench compare --systems tautline,fastdds -- --only latency,robot
   cargo xtask bench network --quick -- --no-cores")]

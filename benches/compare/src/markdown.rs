@@ -110,48 +110,58 @@ fn compare(rows: &[Row]) -> String {
         column("at once", at_once, 4096, |row| us(row.cpu_us_per_msg)),
         column("robot: MiB", apart, 4096, |row| us(row.rss_mib)),
     ];
-    let stream = "throughput/held-off";
-    let interval = |bytes| column(size(bytes), stream, bytes, |row| us(interval_us(row)));
-    let start = |title, experiment| column(title, experiment, 64, |row| us(row.p50_us.map(|us| us / 1e3)));
-    let starts = [
-        start("first message", "start-up/first-message/as-shipped"),
-        start("to a late joiner", "start-up/late-joiner/as-shipped"),
-        start("on each of 100 topics", "start-up/100-topics/as-shipped"),
-    ];
-    let kinds = [
-        ("in one process", "fan-out/one-process/held-off", ["1", "4", "8", "16"]),
-        ("in as many processes", "fan-out/processes/held-off", ["2", "4", "8", "16"]),
-    ];
-    let counts = kinds.into_iter().flat_map(|(title, kind, counts)| {
-        counts.map(|count| (format!("{count} {title}"), format!("{kind}/{count}")))
-    });
-    let is_measured = |experiment: &str| rows.iter().any(|row| row.n > 0 && row.experiment == experiment);
-    let counts: Vec<(String, String)> = counts.filter(|(_, experiment)| is_measured(experiment)).collect();
-    let fan_out = counts
-        .iter()
-        .map(|(title, experiment)| column(title, experiment, 1 << 20, |row| us(row.p50_us)))
-        .collect::<Vec<_>>();
     let by_size: Vec<_> = sizes(rows, held).into_iter().map(|bytes| pair([held, shipped], bytes)).collect();
-    let streams: Vec<_> = sizes(rows, stream).into_iter().map(interval).collect();
     [
         table(rows, "system", &columns),
         titled("By size, half a round trip, p50 in µs (idle states held off / as shipped)", rows, &by_size),
-        titled("Streams by size, from one message to the next in µs", rows, &streams),
-        titled("Start to the first message, in ms", rows, &starts),
-        titled("1 MiB to several subscriptions, until the last has it, p50 in µs", rows, &fan_out),
+        titled("Streams by size, from one message to the next in µs", rows, &streams(rows)),
+        titled("Start to the first message, in ms", rows, &starts()),
+        titled("1 MiB to several subscriptions, until the last has it, p50 in µs", rows, &fan_out(rows)),
     ]
     .concat()
+}
+
+fn streams(rows: &[Row]) -> Vec<Column<'_>> {
+    let stream = "throughput/held-off";
+    // The median round.
+    let interval =
+        |row: &Row| median(row.rounds.iter().filter_map(|it| Some(1e6 / it.msgs_per_s?)).collect());
+    let of_size = |bytes| column(size(bytes), stream, bytes, move |row| us(interval(row)));
+    sizes(rows, stream).into_iter().map(of_size).collect()
+}
+
+fn starts() -> [Column<'static>; 3] {
+    [
+        ("first message", "start-up/first-message/as-shipped"),
+        ("to a late joiner", "start-up/late-joiner/as-shipped"),
+        ("on each of 100 topics", "start-up/100-topics/as-shipped"),
+    ]
+    .map(|(title, experiment)| column(title, experiment, 64, |row| us(row.p50_us.map(|us| us / 1e3))))
+}
+
+/// Of each number of subscriptions that was measured.
+fn fan_out(rows: &[Row]) -> Vec<Column<'_>> {
+    let measured = || distinct(rows.iter().filter(|row| row.n > 0).map(|row| row.experiment.as_str()));
+    let of_kind = |(kind, title): (&str, &str)| {
+        let mut counts: Vec<(usize, &str)> = measured()
+            .into_iter()
+            .filter_map(|experiment| Some((experiment.strip_prefix(kind)?.parse().ok()?, experiment)))
+            .collect();
+        counts.sort_unstable();
+        let text = |row: &Row| us(row.p50_us);
+        counts
+            .into_iter()
+            .map(|(count, experiment)| column(format!("{count} {title}"), experiment, 1 << 20, text))
+            .collect::<Vec<_>>()
+    };
+    let (one, many) = ("fan-out/one-process/held-off/", "fan-out/processes/held-off/");
+    [(one, "in one process"), (many, "in as many processes")].into_iter().flat_map(of_kind).collect()
 }
 
 /// Nothing where nothing was measured.
 fn titled(title: &str, rows: &[Row], columns: &[Column<'_>]) -> String {
     let table = table(rows, "system", columns);
     if table.lines().nth(2).is_none() { String::new() } else { format!("\n{title}:\n\n{table}") }
-}
-
-/// Of a stream: the median round.
-fn interval_us(row: &Row) -> Option<f64> {
-    median(row.rounds.iter().filter_map(|round| Some(1e6 / round.msgs_per_s?)).collect())
 }
 
 /// Medians of two experiments, in one column.

@@ -209,17 +209,14 @@ sys.stdin.read()
         let venv = target.join("ros/venv");
         let python = venv.join("bin/python");
         let folders = std::fs::read_dir(venv.join("lib")).into_iter().flatten().flatten();
-        let libraries = folders.map(|entry| entry.path().join("site-packages/cyclonedds/.libs/libddsc.so"));
         // Of whatever version its Python is.
-        let library = libraries.filter(|library| library.is_file()).last().unwrap_or(venv);
-        if !library.is_file() {
-            assert!(
-                std::env::var_os("CI").is_none(),
-                "CI needs {}: run `cargo xtask ros`",
-                library.display()
-            );
-            return eprintln!("skipped: no {}: run `cargo xtask ros`", library.display());
-        }
+        let mut libraries =
+            folders.map(|entry| entry.path().join("site-packages/cyclonedds/.libs/libddsc.so"));
+        let Some(library) = libraries.find(|library| library.is_file()) else {
+            let missing = format!("no Cyclone DDS in {}: run `cargo xtask ros`", venv.display());
+            assert!(std::env::var_os("CI").is_none(), "CI: {missing}");
+            return eprintln!("skipped: {missing}");
+        };
         // SAFETY: DDS's own function, of this signature; the text lives through the call, and the library for ever.
         unsafe {
             let library = Library::new(&library).unwrap();

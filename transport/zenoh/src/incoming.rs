@@ -58,7 +58,7 @@ pub(crate) struct Incoming {
     entrance: Arc<Entrance>,
     gate: Arc<Gate>,
     retries: Option<Retries>,
-    _samples: [Subscriber<()>; 2],
+    samples: [Subscriber<()>; 2],
 }
 
 /// Of a transient-local topic: requests to publishers that were missed.
@@ -92,6 +92,7 @@ impl Incoming {
         let mut waiting = Vec::new();
         if let Some(Way { port, .. }) = old.as_ref().and_then(|old| old.gate.0.lock().take()) {
             let SampleAdmission { ingress: former, mut unclaimed, .. } = port;
+            // A network's publishers are one class, so their numbers go on.
             ingress.take_over(former, false);
             waiting.extend(std::iter::from_fn(|| unclaimed.pop()));
         }
@@ -107,7 +108,7 @@ impl Incoming {
         *inside = Some(requests.clone());
         drop(inside);
         let samples = match old {
-            Some(old) => old._samples,
+            Some(old) => old.samples,
             None => Entrance::declare(&entrance, session, key)?,
         };
         let mut retries = None;
@@ -117,7 +118,7 @@ impl Incoming {
             let (keeping, count, next) = (BTreeMap::new(), 0, Instant::now());
             retries = Some(Retries { requests, keeping, count, next, _publishers });
         }
-        Ok(Incoming { entrance, gate, retries, _samples: samples })
+        Ok(Incoming { entrance, gate, retries, samples })
     }
 
     pub(crate) fn is_kept(&self) -> bool {
@@ -173,6 +174,8 @@ impl Entrance {
         Ok([cpu_group, samples.wait()?])
     }
 
+    /// # Real-time
+    /// Two locks that inherit priority; what a sample costs is [`Ingress::receive`]'s. Waits while a new gate takes over.
     fn pass(&self, receive: impl FnOnce(&mut Way) -> Option<Request>) {
         let inside = self.0.lock();
         let Some(requests) = &*inside else { return };

@@ -48,45 +48,6 @@ fn a_burst_of_a_new_publisher_arrives() {
     assert!(numbers(&subscription, COUNT).into_iter().eq(0..COUNT));
 }
 
-/// The topic's way into the second host starts anew as soon as it has samples to keep.
-#[test]
-fn a_stream_goes_on_when_its_topic_is_to_be_kept() {
-    let a = Host::first(151, 151);
-    let b = Host::beside(&a, 152);
-    let (qos, kept) = (Qos::keep_last(5000), Qos::keep_last(1).transient_local());
-    let publisher = a.publisher("/map", &string_type(), qos);
-    let subscription = b.subscription("/map", &string_type(), qos);
-    connect(&publisher, &[&subscription], b"probe");
-    let has_ended = &AtomicBool::new(false);
-    let stream = move || {
-        let is_going_on = |_: &u64| !has_ended.load(Ordering::Relaxed);
-        let publish = |number: u64| {
-            publisher.publish(&number.to_le_bytes()).unwrap();
-            std::thread::sleep(std::time::Duration::from_micros(200));
-        };
-        // At most half a minute, if nobody ends it.
-        let count = (0..100_000).take_while(is_going_on).map(publish).count();
-        (count as u64, publisher)
-    };
-    std::thread::scope(|scope| {
-        let streaming = scope.spawn(stream);
-        let map = a.publisher("/map", &string_type(), kept);
-        map.publish(b"a map").unwrap();
-        let late = b.subscription("/map", &string_type(), kept);
-        let mut heard = Vec::new();
-        // Nothing comes to it before the way keeps samples.
-        until("a sample for the late one", || {
-            let samples = std::iter::from_fn(|| subscription.try_take_valid().unwrap());
-            heard.extend(samples.filter_map(|sample| sample.body().try_into().ok().map(u64::from_le_bytes)));
-            late.try_take_valid().unwrap().is_some()
-        });
-        has_ended.store(true, Ordering::Relaxed);
-        let (count, _publisher) = streaming.join().unwrap();
-        heard.extend(numbers(&subscription, count - heard.len() as u64));
-        assert!(heard.into_iter().eq(0..count));
-    });
-}
-
 #[test]
 fn between_ends_that_keep_all_nothing_is_lost() {
     const COUNT: u64 = 5000;
