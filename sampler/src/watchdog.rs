@@ -9,6 +9,15 @@ use std::time::Duration;
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
 use tautline_transport::{Activity, Slot, TransportError};
 
+/// Shorter deadlines and leases are monitored as if they were this long. No thread could keep one, and each that is missed again and
+/// again would keep the sampler, which nothing may wait for, busy with nothing else.
+const SHORTEST: Duration = Duration::from_micros(50);
+
+/// How long a deadline or a lease of this length is monitored for.
+pub(crate) fn monitored(period: Duration) -> Duration {
+    period.max(SHORTEST)
+}
+
 /// An activity did not happen in time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Expiry {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
 use super::event::{DeadlineMissed, LivelinessLost, PublisherEvent, Ready};
-use super::watched;
-use crate::{Alarm, Events, Watchdog};
+use crate::watchdog::{Watchdog, monitored};
+use crate::{Alarm, Events};
 use futures::Stream;
 use std::pin::Pin;
 use std::task::{Context, Poll};
@@ -56,11 +56,11 @@ impl PublisherEvents {
     pub fn new(events: &Events, publisher: &RawPublisher) -> Result<Self, TransportError> {
         let alarm = Alarm::new(events)?;
         let monitor = publisher.monitor(alarm.slot());
-        let watchdog = |(activity, period)| Watchdog::new(events, activity, watched(period));
+        let watchdog = |(activity, period)| Watchdog::new(events, activity, monitored(period));
         let deadline = monitor.deadline().map(watchdog).transpose()?;
         let lease = match monitor.lease() {
             Some((activity, period)) => {
-                let period = watched(period);
+                let period = monitored(period);
                 let period_ns = tautline_rt::clock::nanoseconds(period);
                 let watchdog = Watchdog::new(events, activity, period)?;
                 Some(Lease { watchdog, told: None, period_ns, lost: 0 })

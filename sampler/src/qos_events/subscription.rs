@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
 use super::event::{DeadlineMissed, Ready, SubscriptionEvent};
-use super::watched;
-use crate::{Alarm, Events, Watchdog};
+use crate::watchdog::{Watchdog, monitored};
+use crate::{Alarm, Events};
 use futures::Stream;
 use std::pin::Pin;
 use std::task::{Context, Poll};
@@ -32,7 +32,7 @@ impl SubscriptionEvents {
     pub fn new(events: &Events, subscription: &RawSubscription) -> Result<Self, TransportError> {
         let alarm = Alarm::new(events)?;
         let monitor = subscription.monitor(alarm.slot());
-        let watchdog = |(activity, period)| Watchdog::new(events, activity, watched(period));
+        let watchdog = |(activity, period)| Watchdog::new(events, activity, monitored(period));
         let deadline = monitor.deadline().map(watchdog).transpose()?;
         Ok(SubscriptionEvents { monitor, alarm, deadline, ready: Ready::new() })
     }

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The facts from which the layouts of a schema's types are computed.
 
+use super::plain::{NotPlain, Plain};
 use super::position::Position;
-use super::{NotPlain, Plain};
 use crate::{Base, FieldType, Schema, Shape};
 
 /// The facts about each type of a schema.

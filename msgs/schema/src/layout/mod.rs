@@ -6,14 +6,14 @@
 //! `tautline-msgs` proves for Rust structs. Trailing padding of the whole message does not matter.
 
 mod facts;
+mod plain;
 mod position;
-
-use std::fmt;
 
 use crate::{FieldType, Schema};
 use facts::Facts;
+pub use plain::{NotPlain, Plain};
 use position::Position;
-use serde::Serialize;
+pub use position::Size;
 
 /// The layout of a message.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -37,79 +37,6 @@ pub struct FieldLayout {
     pub offset: Size,
     /// From there to the end of its last primitive, in bytes.
     pub size: Size,
-}
-
-/// The C layout of a plain message.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Plain {
-    /// The size of the struct in bytes, trailing padding included.
-    pub size: usize,
-    /// Its alignment in bytes.
-    pub align: usize,
-    /// Where its last primitive ends: the length of its CDR in bytes.
-    pub cdr_size: usize,
-    /// The alignment of its first primitive in bytes.
-    pub first_align: usize,
-}
-
-/// Why a message is not plain. Fields of nested messages are written `pose.position`.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum NotPlain {
-    /// A string or sequence.
-    Variable {
-        /// The field.
-        field: String,
-    },
-    /// A field lies elsewhere in C than in CDR, because a nested message is padded or aligned in one but not the other.
-    Misplaced {
-        /// The field.
-        field: String,
-        /// Its offset in C, in bytes.
-        in_c: usize,
-        /// Its offset in CDR, in bytes.
-        in_cdr: usize,
-    },
-    /// The elements of an array lie at other distances in C than in CDR.
-    Array {
-        /// The field.
-        field: String,
-    },
-}
-
-impl fmt::Display for NotPlain {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Variable { field } => write!(formatter, "`{field}` has no fixed size"),
-            Self::Misplaced { field, in_c, in_cdr } => {
-                write!(formatter, "`{field}` is at byte {in_c} in C but at byte {in_cdr} in CDR")
-            }
-            Self::Array { field } => {
-                write!(formatter, "the elements of `{field}` are padded in C but not in CDR")
-            }
-        }
-    }
-}
-
-/// A number of bytes.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-#[serde(untagged)]
-pub enum Size {
-    /// The same in every message.
-    Fixed(usize),
-    /// Depends on the message. `|x|` is the length of string `x` in bytes (of a `wstring` in UTF-16 units) or the
-    /// number of elements of sequence `x`, `bytes(x)` the bytes of all its elements, `end(x)` where field `x` ends.
-    /// `upN(..)` rounds up to a multiple of N, `padN` are the bytes from where one is to a multiple of N; neither is
-    /// there before the elements of an empty sequence.
-    Formula(String),
-}
-
-impl fmt::Display for Size {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Fixed(size) => write!(formatter, "{size}"),
-            Self::Formula(formula) => formatter.write_str(formula),
-        }
-    }
 }
 
 impl Layout {
@@ -137,18 +64,6 @@ impl Layout {
             });
         }
         Self { plain: facts.plain[0].clone(), size, fields }
-    }
-}
-
-impl NotPlain {
-    /// The same fault, of a field of a field.
-    fn inside(self, outer: &str) -> Self {
-        let path = |field| format!("{outer}.{field}");
-        match self {
-            Self::Variable { field } => Self::Variable { field: path(field) },
-            Self::Misplaced { field, in_c, in_cdr } => Self::Misplaced { field: path(field), in_c, in_cdr },
-            Self::Array { field } => Self::Array { field: path(field) },
-        }
     }
 }
 

@@ -1,7 +1,30 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A number of bytes, as far as it is known.
 
-use super::Size;
+use serde::Serialize;
+use std::fmt;
+
+/// A number of bytes.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(untagged)]
+pub enum Size {
+    /// The same in every message.
+    Fixed(usize),
+    /// Depends on the message. `|x|` is the length of string `x` in bytes (of a `wstring` in UTF-16 units) or the
+    /// number of elements of sequence `x`, `bytes(x)` the bytes of all its elements, `end(x)` where field `x` ends.
+    /// `upN(..)` rounds up to a multiple of N, `padN` are the bytes from where one is to a multiple of N; neither is
+    /// there before the elements of an empty sequence.
+    Formula(String),
+}
+
+impl fmt::Display for Size {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Fixed(size) => write!(formatter, "{size}"),
+            Self::Formula(formula) => formatter.write_str(formula),
+        }
+    }
+}
 
 /// A place in a body: `formula + plus` bytes from the start, and modulo `multiple` it is `residue`.
 pub struct Position {

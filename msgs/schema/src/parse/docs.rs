@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Assigns comments to the message, its fields and constants by the rules of `rosidl_adapter`.
 
-use super::Numbered;
+use super::line::Numbered;
 use crate::Definition;
 
 /// The comments of a definition while it is parsed.

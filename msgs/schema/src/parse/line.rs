@@ -1,5 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A line that is read from left to right and knows its column.
+//! Lines with their numbers, and one that is read from left to right and knows its column.
+
+/// A line after its number, from 1.
+pub(crate) type Numbered<'a> = (u32, &'a str);
+
+pub(crate) fn lines(text: &str) -> Vec<Numbered<'_>> {
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+    (1..).zip(text.lines()).collect()
+}
 
 /// What is left of a line.
 #[derive(Clone, Copy)]
@@ -60,5 +68,13 @@ impl<'a> Line<'a> {
     fn skip_spaces(&mut self) {
         let rest = self.rest();
         self.at += rest.len() - rest.trim_start().len();
+    }
+}
+
+/// The start of a text, for an error message.
+pub(crate) fn shortened(text: &str) -> String {
+    match text.char_indices().nth(60) {
+        Some((end, _)) => format!("{}...", &text[..end]),
+        None => text.to_owned(),
     }
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Values of constants and defaults.
 
-use super::shortened;
+use super::line::shortened;
 use crate::number::{python_float, python_str};
 use crate::value::List;
 use crate::{Base, Fault, FieldType, Primitive, Shape, Value};

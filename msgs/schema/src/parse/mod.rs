@@ -18,6 +18,7 @@ use crate::{
 };
 use docs::Docs;
 use line::Line;
+pub(crate) use line::{Numbered, lines, shortened};
 pub(crate) use literal::parse_python_default;
 
 /// Parses a `.msg` file's text. `file` is what errors call it.
@@ -66,13 +67,6 @@ pub fn parse(name: &TypeName, file: &str, text: &str) -> Result<Vec<Definition>,
         Kind::Srv => parse_service(name, file, text),
         Kind::Action => parse_action(name, file, text),
     }
-}
-
-pub(crate) type Numbered<'a> = (u32, &'a str);
-
-pub(crate) fn lines(text: &str) -> Vec<Numbered<'_>> {
-    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
-    (1..).zip(text.lines()).collect()
 }
 
 /// The parts between lines `---`.
@@ -233,12 +227,4 @@ fn parse_bound(text: &str) -> Result<u32, Fault> {
     let digits = !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
     let bound = if digits { text.parse().unwrap_or(0) } else { 0 };
     if bound == 0 { Err(Fault::Bound { text: shortened(text) }) } else { Ok(bound) }
-}
-
-/// The start of a text, for an error message.
-pub(crate) fn shortened(text: &str) -> String {
-    match text.char_indices().nth(60) {
-        Some((end, _)) => format!("{}...", &text[..end]),
-        None => text.to_owned(),
-    }
 }

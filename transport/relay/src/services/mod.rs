@@ -10,6 +10,7 @@
 //! part.
 
 mod exchange;
+mod limits;
 mod offered;
 mod pending;
 mod routes;
@@ -22,10 +23,3 @@ pub use pending::Pending;
 pub use routes::{OfferedService, Routes, ServerId, SoughtService};
 pub use sought::{FarClient, Response};
 pub use stats::ServiceStats;
-
-use tautline_transport::{Claim, Limits};
-
-/// Limits here: most services are called rarely, and the length of messages is unknown before they arrive.
-fn limits() -> Limits {
-    Limits { claim: Claim::OnUse, ..Limits::default() }
-}

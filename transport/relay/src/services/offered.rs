@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A service of the domain, offered on the far side.
 
-use super::limits;
+use super::limits::{TURN, limits};
 use super::stats::ServiceCounters;
 use crate::mirror::TopicKey;
 use crate::waker::Flag;
@@ -17,8 +17,6 @@ use tautline_transport::{
     ServiceType,
 };
 
-/// Requests taken from one service before the next one's turn.
-pub(super) const TURN: usize = 16;
 /// Maximum of requests that wait for the server or for room in its queue; more are refused and counted.
 const MOST_WAITING: usize = 1024;
 const MOST_WAITING_BYTES: usize = 16 << 20;

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A service of the far side, with clients here.
 
-use super::limits;
-use super::offered::TURN;
+use super::limits::{TURN, limits};
 use super::routes::ServerId;
 use super::stats::ServiceCounters;
 use crate::mirror::TopicKey;
