@@ -52,7 +52,7 @@ pub fn audsley(tasks: &[Task], overheads: &Overheads, highest: u8) -> Result<Vec
     let lowest = usize::from(highest)
         .checked_sub(threads.len())
         .ok_or(AnalysisError::TooFewPriorities { levels: threads.len(), highest })?;
-    // Above all levels until placed.
+    // A task is above all levels until it is placed.
     let mut placed: Vec<_> = tasks.iter().map(|task| Task { priority: u8::MAX, ..task.clone() }).collect();
     Core::new(&placed, overheads)?;
     let mut waiting = threads;

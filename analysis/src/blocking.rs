@@ -24,8 +24,8 @@ pub enum LockProtocol {
 /// How long each task of a core can be blocked by lower priorities that hold locks: the value for
 /// [`Task::blocking_ns`] (Sha, Rajkumar & Lehoczky 1990).
 ///
-/// Only sections of lower priority count whose lock is also used at the task's priority or above. One that may be demoted is such a lower
-/// one, too: it may be in its section, demoted, when the task is released. Under the ceiling
+/// Only sections of lower priority count whose lock is also used at the task's priority or above. A task that may be demoted counts as
+/// lower, too: it may be in its section, demoted, when the task is released. Under the ceiling
 /// protocol the longest of them blocks, once. Under inheritance each lower task may block once, and so may each lock:
 /// the smaller of the two sums. Sections of tasks that do not exist are ignored.
 ///

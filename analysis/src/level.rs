@@ -37,17 +37,17 @@ impl Demand {
     }
 }
 
-/// What several release together: what is released alike is added up once, so that a window costs a search for each period, however many
-/// tasks have it.
+/// The demand of several tasks together. Demands with one period are added up once, so that a window costs one search for each period,
+/// however many tasks have it.
 #[derive(Debug, Default)]
 struct Curve {
     classes: Vec<Class>,
-    /// With a least distance or a trace.
+    /// Demands with a least distance or a trace.
     others: Vec<Demand>,
     /// In units of 1 / [`WHOLE_CORE`], each part rounded down.
     utilisation: u128,
     parts: usize,
-    /// Whether any of it comes late, or as in a trace.
+    /// Whether any demand has jitter, or comes from a trace.
     is_irregular: bool,
 }
 
@@ -122,20 +122,20 @@ impl Curve {
     }
 }
 
-/// The first of some tasks of a core that trigger one another, up to one of them, each in every level that the next is in.
+/// The first of the tasks of a core that trigger one another, up to a given task, where each is in every level that the next is in.
 ///
-/// A busy window of such a level begins with nothing left to do, so that each job of the last in it comes from a release of the first in it,
-/// and is done at its end.
+/// A busy window of such a level begins idle. So each job of the last task in the window comes from a release of the first task in it, and
+/// has ended when the window ends.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct First {
-    /// With as many more as joins on the way may have kept.
+    /// Its releases, with as many more as joins on the way may have kept.
     pub release: Release,
-    /// How much later the last one's nominal release is; `None` after a join.
+    /// How much later the last task's nominal release is; `None` after a join.
     pub lag_ns: Option<u64>,
 }
 
 impl First {
-    /// When the last one ends, after its nominal release, in a busy window of this length.
+    /// Returns when the last task ends, after its nominal release, in a busy window of this length.
     pub fn latest_ns(&self, busy_ns: u64) -> u64 {
         let latest_ns = busy_ns.saturating_add(self.release.jitter_ns);
         self.lag_ns.map_or(u64::MAX, |lag_ns| latest_ns.saturating_sub(lag_ns))
@@ -146,21 +146,21 @@ impl First {
 pub(crate) struct Core<'a> {
     tasks: &'a [Task],
     callbacks: Vec<Demand>,
-    /// The demand of each task as the others see it: the same, except for tasks with a reservation.
+    /// The demand of each task as the others see it: the same, except for tasks with a reservation or an enforced budget.
     delays: Vec<Demand>,
     /// The work per message of each task.
     messages: Vec<u64>,
-    /// What delays every level: messages, and what relays them.
+    /// The demand that delays every level: messages, and relays.
     common: Curve,
     /// What delays even sections that nothing else preempts: ticks, throttling.
     interrupts: Curve,
     /// The priorities, the highest first, each with its tasks' delays, and the longest section of all below it.
     bands: Vec<(u8, Curve, u64)>,
-    /// Of each task to which others of this core lead: the first of these.
+    /// For each task that others of this core lead to, the first of these.
     firsts: &'a [Option<First>],
-    /// The tasks of each thread that several share.
+    /// The tasks of each thread that several tasks share.
     threads: HashMap<u32, Vec<usize>>,
-    /// What is known of these.
+    /// The bounds of these threads that were computed already, by thread and rank.
     known: RefCell<HashMap<(u32, u8), Result<Shared, AnalysisError>>>,
     /// A task that is released too often at once, if there is one.
     burst: Option<AnalysisError>,
@@ -186,12 +186,12 @@ pub(crate) struct Effort {
 }
 
 impl Effort {
-    /// Counts only.
+    /// Counts steps without a limit.
     pub fn unlimited() -> Self {
         Self { steps: Cell::new(0), most: u64::MAX, until_late: false }
     }
 
-    /// To find out whether deadlines are met, in so many steps: past them there is no bound, and none past the deadline.
+    /// Ends a search without a bound after `most` steps, or once it is past the deadline: to find out whether deadlines are met.
     pub fn until_late(most: u64) -> Self {
         Self { steps: Cell::new(0), most, until_late: true }
     }
@@ -205,13 +205,13 @@ impl Effort {
     }
 }
 
-/// What all tasks of a thread have in common.
+/// The bounds that all tasks of a thread have in common.
 #[derive(Debug, Clone, Copy)]
 struct Shared {
     /// The longest response from an arrival.
     arrival_ns: u64,
     busy_ns: u64,
-    /// When the last of its jobs ends, after the begin of that window.
+    /// From the begin of the busy window to the end of the thread's last job.
     end_ns: u64,
     utilisation: f64,
 }
@@ -221,7 +221,7 @@ struct Shared {
 pub(crate) struct Bound {
     pub nominal_ns: u64,
     pub arrival_ns: u64,
-    /// From the nominal release to the end of a job for it or for a later one.
+    /// From the nominal release to the end of a job for this release or for a later one.
     pub reflected_ns: u64,
     /// How much is released within this time may delay it: its longest busy window.
     pub busy_ns: u64,
@@ -235,8 +235,8 @@ impl<'a> Core<'a> {
         Self::beside(tasks, &[], overheads, &[], 0)
     }
 
-    /// The same on a core that also relays messages, each with its releases and its cost, and that may stand still for `stall_ns`
-    /// besides, as the blocking of all tasks says already: what piled up then is done at once.
+    /// As [`new`](Self::new), on a core that also relays messages, each with its releases and its cost, and that may stall for `stall_ns`.
+    /// The blocking of all tasks contains the stall already; the work that piled up meanwhile is done at once.
     pub fn beside(
         tasks: &'a [Task],
         firsts: &'a [Option<First>],
@@ -335,7 +335,7 @@ impl<'a> Core<'a> {
         })
     }
 
-    /// What ends a search leaves an error, whichever.
+    /// Limits searches by `effort`; a search that it ends returns an error of any kind.
     pub fn with_effort(mut self, effort: &'a Effort) -> Self {
         self.effort = Some(effort);
         self
@@ -351,7 +351,7 @@ impl<'a> Core<'a> {
         self.spare_ns
     }
 
-    /// Where other tasks lead to this one: the first of these.
+    /// The first of the tasks that lead to this one, if any do.
     pub fn first(&self, index: usize) -> Option<&First> {
         self.firsts.get(index)?.as_ref()
     }
@@ -380,7 +380,7 @@ impl<'a> Core<'a> {
         });
         let Shared { arrival_ns, busy_ns, end_ns, utilisation } = shared?;
         let nominal_ns = arrival_ns.checked_add(task.jitter_ns).ok_or_else(|| overflow(task))?;
-        // The newest release of a timer goes behind what came before it, and the thread may get to it as late as possible.
+        // The newest release of a timer is queued behind earlier work, and the thread may reach it as late as possible.
         let reflected_ns = busy_ns.checked_add(task.jitter_ns).ok_or_else(|| overflow(task))?;
         let busy_ns = busy_ns.max(end_ns);
         Ok(Bound { nominal_ns, arrival_ns, reflected_ns, busy_ns, utilisation, waits: false })
@@ -392,23 +392,23 @@ struct Level<'a> {
     core: &'a Core<'a>,
     task: &'a Task,
     release: Release,
-    /// How many of its jobs a busy window has.
+    /// The releases by which its jobs in a busy window are counted.
     counted: Release,
     /// The tasks of its thread: itself, and those that share the thread.
     members: Vec<usize>,
     /// The demand of its thread, without jobs of lower ranks.
     own: Curve,
-    /// What a job of its own costs.
+    /// The cost of one of its own jobs.
     cost_ns: u64,
     /// Its priority and those above.
     bands: &'a [(u8, Curve, u64)],
-    /// What else takes time above it.
+    /// The gap that its reservation leaves in each period, as work above it.
     gap: Option<Demand>,
     /// What a job costs at the highest priority, in part in its own thread.
     message_ns: u64,
     /// The longest section of a lower priority that nothing preempts.
     sections: u64,
-    /// The same, and what else of lower priorities, or of a lower rank in its thread, holds it up.
+    /// As `sections`, with all else of lower priorities, or of a lower rank in its thread, that blocks it.
     blocking: u64,
     /// The rest of a job once nothing can preempt it.
     tail: u64,
@@ -420,7 +420,7 @@ impl<'a> Level<'a> {
         let task = &core.tasks[index];
         let shared = task.group.and_then(|group| core.threads.get(&group.id));
         let members = shared.cloned().unwrap_or_else(|| vec![index]);
-        // What each lower rank's callbacks use, one job each: those of one rank are reported together.
+        // The work of each lower rank's callbacks, one job each: callbacks of one rank are reported together.
         let (mut blocking, mut lower_ns) = (0, BTreeMap::<u8, u64>::new());
         let is_ranked = task.group.is_some_and(|group| group.order == Order::Priority);
         let is_lower = |other: &Task| is_ranked && other.rank < task.rank;
@@ -445,7 +445,7 @@ impl<'a> Level<'a> {
         let own = members.iter().filter(|i| !is_lower(&core.tasks[**i])).map(|i| core.callbacks[*i].clone());
         let own = Curve::new(own).ok_or_else(|| overflow(task))?;
         let blocking = u64::checked_add(blocking, sections)
-            // Those that were chosen before; nothing of them need be done yet.
+            // Jobs of a lower rank that were chosen before; none of their work need be done yet.
             .and_then(|sum| sum.checked_add(lower_ns.into_values().max().unwrap_or(0)));
         let level = Self {
             core,
@@ -466,12 +466,12 @@ impl<'a> Level<'a> {
         level.with_utilisation()
     }
 
-    /// All that delays the thread.
+    /// All demand that delays the thread.
     fn curves(&self) -> impl Iterator<Item = &Curve> {
         self.bands.iter().map(|(_, curve, _)| curve).chain([&self.core.common, &self.core.interrupts])
     }
 
-    /// Without what its own thread is to others.
+    /// Computes the utilisation, without the demand of its own thread as others see it.
     fn with_utilisation(mut self) -> Result<Self, AnalysisError> {
         let gap = self.gap.iter().map(Demand::utilisation);
         let all =
@@ -501,7 +501,7 @@ impl<'a> Level<'a> {
         let apart_ns = self.release.shortest_span(1);
         let spare_ns = runtime_ns.checked_sub(charged_ns).filter(|_| apart_ns >= period_ns);
         if let (Some(spare_ns), Ok(())) = (spare_ns, self.check_load()) {
-            // Until when all that comes first is done: the wake-up may be as late.
+            // When all work that comes first is done: the wake-up may be as late.
             let late_ns = self.finish(self.add(self.blocking, 1)?, 0, u64::MAX, &mut 0)? - 1;
             let left_ns = late_ns.saturating_sub(apart_ns - period_ns);
             let rule = |ns: u64, of: u64| u128::from(ns) * u128::from(of);
@@ -555,7 +555,7 @@ impl<'a> Level<'a> {
         Ok(Shared { arrival_ns, busy_ns, end_ns, utilisation: self.utilisation_f64() })
     }
 
-    /// Rounding down hides less than one unit for each demand, which is refused along with exactly 1.
+    /// Refuses overload, and full levels with blocking or jitter. Rounding down hides under one unit per demand: so close to 1 is full.
     fn check_load(&self) -> Result<(), AnalysisError> {
         let (task, priority) = (self.task.name.clone(), self.task.priority);
         if self.utilisation > WHOLE_CORE {
@@ -595,13 +595,13 @@ impl<'a> Level<'a> {
             }
         }
         if self.task.unordered && jitter >= self.release.nominal_span(1) {
-            // Its place in the queue is not that of its nominal release.
+            // Its place in the queue does not follow from its nominal release.
             nominal = self.add(arrival, jitter)?;
         }
         Ok((nominal, arrival, busy))
     }
 
-    /// When a job ends that nothing but interrupts delays from `start` on.
+    /// Returns when a job ends that only interrupts delay from `start` on.
     fn without_preemption(&self, start: u64, iterations: &mut u32) -> Result<u64, AnalysisError> {
         let mut end = self.add(start, self.tail)?;
         if self.tail == 0 {
@@ -620,7 +620,7 @@ impl<'a> Level<'a> {
         }
     }
 
-    /// A thread whose jobs run in the order of their release: a late one keeps its place, so that what the least distance of releases
+    /// A thread whose jobs run in the order of their release: a late job keeps its place, so that jobs whose releases the least distance
     /// keeps apart may be queued at once. The longest response is that of a job that arrives when some
     /// task of the thread is released, as early as its curve allows (Bedarkar et al., ECRTS 2022).
     fn first_in_first_out(&self, window: u64) -> Result<(u64, u64), AnalysisError> {
@@ -737,7 +737,7 @@ impl<'a> Level<'a> {
     }
 }
 
-/// Drops what costs nothing and joins what is released alike: systems have fewer rates than callbacks.
+/// Drops demands without a cost and joins those that are released alike: systems have fewer rates than callbacks.
 fn merge(mut demands: Vec<Demand>) -> Vec<Demand> {
     demands.retain(|demand| demand.cost_ns > 0);
     let key = |d: &Demand| (d.release.period_ns, d.release.jitter_ns, d.release.min_distance_ns);
@@ -750,13 +750,13 @@ fn merge(mut demands: Vec<Demand>) -> Vec<Demand> {
     demands
 }
 
-/// What a task takes from others. One that is held to its budget: that budget. A reservation: its runtime, switching to it and from it, once for the period and once for each job.
+/// Returns a task's demand on others: its own, its enforced budget, or a reservation's runtime and switches, two per period and per job.
 fn delay(task: &Task, own: &Demand, overheads: &Overheads) -> Result<Demand, AnalysisError> {
     let Some(Reservation { runtime_ns, period_ns }) = task.reservation else {
         if task.hold == Hold::Nothing {
             return Ok(own.clone());
         }
-        // A budget has room for all work per message, of which the sampler does a part besides; once it is used up, another thread is switched to.
+        // The budget has room for all work per message, of which the sampler does a part in addition; after it comes another switch.
         let more = task.per_message_ns(overheads).saturating_add(overheads.context_switch_ns);
         let mut budget = own.cost_ns.checked_add(more);
         let release = match task.hold {

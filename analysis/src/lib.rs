@@ -19,7 +19,7 @@
 //! | see what happens | [`timeline`] |
 //! | explain a run in which the host took the core | [`taken`] |
 //! | read all of it from `system.toml` | [`mod@file`] |
-//! | admit what comes beside what runs | [`file::admission`] |
+//! | admit new load beside the load that runs | [`file::admission`] |
 //!
 //! # Model
 //! Each core has fixed priorities and preempts: SCHED_FIFO threads pinned to it. Tasks do not suspend themselves while
@@ -47,8 +47,8 @@
 //! shared by several tasks in the order of arrival, a job that arrives at A ends at the fixed point of
 //! F = B + sum over the thread of n_k(A + 1) C_k + sum over higher j of n_j(F) C_j, and R is the largest F - A
 //! (Bedarkar et al. 2022); in any other order R is at most the busy window, which lower ranks of a thread that runs the highest
-//! first enter with one job (George et al. 1996, for threads). A busy window begins with nothing left to do. So what tasks of its core
-//! trigger, one after the other at its priority or above, is released in it as often as the first of these, and ends in it.
+//! first enter with one job (George et al. 1996, for threads). A busy window begins with nothing left to do. So a task that others of its
+//! core trigger, one after the other at its priority or above, is released in it as often as the first of these, and ends in it.
 //!
 //! With overheads, C of every callback grows by two context switches, and each message of *every* topic costs its
 //! overhead at the highest priority, since the sampler serves the topics of lower priority too; so do timer ticks, and
@@ -58,7 +58,7 @@
 //! with a jitter of one period, whatever it does ([`Reservation`]). Its own jobs find their runtime, or wait for the gap that its runtime
 //! leaves of each period, as if that were work above it.
 //!
-//! What has no bound says why: which level, which utilisation, which cause.
+//! A result without a bound says why: which level, which utilisation, which cause.
 //!
 //! # Example
 //! Five callbacks at rate-monotonic priorities; the work of the sampler, 60 µs for each message, pushes the slowest

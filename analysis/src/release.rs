@@ -11,7 +11,7 @@ const TRACE_DEPTH: usize = 1_000;
 pub struct Distances(Arc<[u64]>);
 
 impl Distances {
-    /// The shortest distance that any 2, 3, 4, ... consecutive ones of these instants have, in nanoseconds. What the
+    /// The shortest distances that any 2, 3, 4, ... consecutive instants span, in nanoseconds. What the
     /// trace is too short to show (and all past 1,000 releases) is bounded from that by superadditivity.
     ///
     /// A bound from a trace holds as long as the system never releases faster than it did in the trace.

@@ -28,12 +28,12 @@ pub struct Response {
     pub level_utilisation: f64,
     /// Whether a job may find its [`Reservation`](crate::Reservation) used up and wait for the next period.
     pub waits_for_reservation: bool,
-    /// From the nominal release to the end of a job for it or for a later one, in nanoseconds: a timer keeps only its newest release.
+    /// From the nominal release to the end of a job for it or for a later release, in nanoseconds: a timer keeps only its newest release.
     pub(crate) reflected_ns: u64,
-    /// What is released within this time may delay it.
+    /// Its longest busy window: all that is released within this time may delay it.
     pub(crate) busy_ns: u64,
     pub(crate) release: Release,
-    /// Where other tasks of its core lead to it: the first of these.
+    /// The first of the tasks of its core that lead to it, if any do.
     pub(crate) first: Option<First>,
 }
 
@@ -52,13 +52,13 @@ impl Response {
         if self.level_utilisation >= 1.0 {
             return Err(AnalysisError::NoSlack { task: self.name.clone(), priority: self.priority });
         }
-        // All that waits comes from what was first released in one busy window.
+        // All waiting messages come from releases of the first task in one busy window.
         let most = self.first.as_ref().map_or(u64::MAX, |first| first.release.most_within(self.busy_ns));
         usize::try_from(self.release.most_within(self.from_arrival_ns).min(most).max(1))
             .map_err(|_| AnalysisError::Overflow { task: self.name.clone() })
     }
 
-    /// The worse of both, for a task that may be in either place.
+    /// Returns the worse of both bounds, for a task that may run on either core.
     pub(crate) fn or_worse(mut self, other: &Response) -> Self {
         self.response_ns = self.response_ns.max(other.response_ns);
         self.from_arrival_ns = self.from_arrival_ns.max(other.from_arrival_ns);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! By how much execution times and overheads may grow before a deadline is missed.
 //!
-//! All bounds of this crate grow with every execution time and overhead, so a search by halving finds the limit. Of a large system it is ended
+//! All bounds of this crate grow with every execution time and overhead, so a search by halving finds the limit. In a large system it ends
 //! early: all of its limits together cost as much as twenty checks, and each of them is then a lower bound.
 use std::ops::Range;
 
@@ -47,9 +47,9 @@ pub fn load(system: &System) -> u64 {
     })
 }
 
-/// By how many thousandths at least the execution times of each of these callbacks, given as their tasks, may be multiplied, the others unchanged:
-/// for all callbacks together this costs about as much as two searches for one, and may find less than [`wcet`]. `None` if a deadline is missed
-/// already.
+/// By how many thousandths at least the execution times of each of these callbacks, given as their tasks, may be multiplied, the others
+/// unchanged: for all callbacks together this costs about as much as two searches for one, and may find less than [`wcet`]. `None` if a
+/// deadline is missed already.
 pub fn wcet_of_each(system: &System, callbacks: &[Range<usize>]) -> Option<Vec<u64>> {
     let slack = system.slack()?;
     Some(callbacks.iter().map(|callback| slack.factor(system, callback)).collect())
@@ -112,7 +112,7 @@ fn search(system: &System, scaled: impl Fn(u64) -> System) -> u64 {
     })
 }
 
-/// Rounded up; too long for the analysis if it does not fit.
+/// Multiplies a time, rounded up; a result that does not fit is too long for the analysis.
 fn times(ns: u64, factor: u64) -> u64 {
     u64::try_from((u128::from(ns) * u128::from(factor)).div_ceil(UNIT.into())).unwrap_or(u64::MAX)
 }

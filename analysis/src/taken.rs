@@ -30,7 +30,7 @@ pub enum Seen {
     /// By a thread that a timer woke too late. Several threads may see the same time, and a thread that ran may have seen it,
     /// too.
     WokenLate,
-    /// By a thread that waited for the core while others used it than those that it is known to wait for. A timer may have
+    /// By a thread that waited for the core while it was used by threads that it is not known to wait for. A timer may have
     /// waited, too.
     Waited,
     /// By the thread that ran: time that its job used beyond what the analysis allows. This is not the time that the other ways see,
@@ -67,12 +67,12 @@ impl TakenTimes {
             .filter(|piece| piece.length_ns > 0)
             .partition(|piece| piece.seen != Seen::WokenLate);
         let noticed = TakenTimes::of(pieces);
-        let more = noticed.seen(&[Seen::Running, Seen::Waited]).what_is_more_of(late);
+        let more = noticed.seen(&[Seen::Running, Seen::Waited]).excess_of(late);
         TakenTimes::of(noticed.pieces.into_iter().chain(more).collect())
     }
 
     /// As [`new`](Self::new), and also with the time that threads waited for the core beyond what the analysis allows. Waits below
-    /// `priority` are left out: they delay nobody above. What other threads saw of a wait is subtracted from it; waits that overlap count
+    /// `priority` are left out: they delay no higher priority. What other threads saw of a wait is subtracted; waits that overlap count
     /// as one, the longest.
     pub fn with_waits(sights: &[Sight], priority: Option<u8>) -> TakenTimes {
         let counts = |sight: &&Sight| sight.taken.seen != Seen::Waited || sight.priority >= priority;
@@ -91,13 +91,13 @@ impl TakenTimes {
         };
         let (waits, rest): (Vec<Taken>, Vec<Taken>) =
             sights.iter().filter(counts).map(less).partition(|piece| piece.seen == Seen::Waited);
-        let waits = TakenTimes::default().what_is_more_of(waits);
+        let waits = TakenTimes::default().excess_of(waits);
         TakenTimes::new(rest.into_iter().chain(waits))
     }
 
-    /// Of sights that may be of the same time, those that overlap being one, what is not among these.
-    fn what_is_more_of(&self, mut sights: Vec<Taken>) -> Vec<Taken> {
-        // One of nothing must not join two others.
+    /// Merges overlapping sights, which may be of the same time; returns what they have beyond the pieces of `self`.
+    fn excess_of(&self, mut sights: Vec<Taken>) -> Vec<Taken> {
+        // An empty sight must not merge two others.
         sights.retain(|piece| piece.length_ns > 0);
         sights.sort_unstable_by_key(|piece| (piece.from_ns, piece.to_ns));
         let overlap = |a: &Taken, b: &Taken| a.from_ns < b.to_ns && b.from_ns < a.to_ns;
@@ -213,7 +213,7 @@ pub fn response_time_with(
         tasks[index].blocking_ns = own_ns.saturating_add(lost_ns);
         let response = response_time_per_task(&tasks, overheads).swap_remove(index)?;
         let window_ns = response.response_ns.saturating_add(response.period_ns);
-        // It only grows, and no further than all that was taken.
+        // The loss only grows, and no further than all that was taken.
         let more_ns = taken_within(window_ns);
         if more_ns <= lost_ns {
             return Ok(response);

@@ -49,14 +49,14 @@ pub struct Task {
     pub lock_waits: u64,
     /// What happens to a job that uses more than is charged for it.
     pub hold: Hold,
-    /// The most messages that its queue keeps, if that is known; a timer keeps one release. Of a task that is held to its budget: as many
-    /// may be published at once when it is late.
+    /// The most messages that its queue keeps, if that is known; a timer keeps one release. A task whose budget is enforced may publish as
+    /// many at once when it is late.
     pub depth: Option<u64>,
     /// Whether its messages may arrive in another order than they were sent in, as far as their jitter allows.
     pub unordered: bool,
 }
 
-/// What holds a task to its budget, the time that is charged for a job with all work per message.
+/// How a task's budget is enforced: the time that is charged for a job with all work per message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum Hold {
     /// Nothing: its wcet is taken to be right.
@@ -230,7 +230,7 @@ impl Task {
         self.hold != Hold::Nothing || self.reservation.is_some()
     }
 
-    /// The same on a machine that costs nothing.
+    /// The same task on a machine without overheads.
     pub(crate) fn without_overheads(&self) -> Task {
         Task { message_overhead_ns: None, executor_overhead_ns: 0, ..self.clone() }
     }

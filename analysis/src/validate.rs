@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 use crate::{AnalysisError, Task};
 
-/// Refuses what the arithmetic cannot bound.
+/// Refuses tasks that the arithmetic cannot bound.
 pub(crate) fn validate(task: &Task) -> Result<(), AnalysisError> {
     let name = || task.name.clone();
     if task.period_ns == 0 {

@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
-/// How much is claimed at once, if there is as much.
+/// The number of bytes that are reserved at once, if the disk has as many.
 const STEP: u64 = 64 << 20;
 
 /// The end of a [`Claimed`] file, for code that no longer owns the file.
@@ -29,40 +29,40 @@ impl Position {
 pub struct Claim {
     file: File,
     path: PathBuf,
-    /// Bytes that are the file's, written or not.
+    /// The number of bytes that are reserved for the file, written or not.
     claimed: u64,
-    /// The file system cannot.
+    /// The file system cannot reserve space.
     is_impossible: bool,
     jobs: Jobs,
 }
 
-/// Writes what was claimed: at the end, or again what is before it.
+/// Writes into the reserved space: at the file's end, or again over what was written.
 pub struct Claimed {
     piece: Piece,
     /// Where the piece begins in the file.
     start: u64,
-    /// Where the next byte goes.
+    /// The offset of the next byte.
     cursor: u64,
     end: Position,
-    /// The piece's first block is one that the last piece ended in.
+    /// The piece begins with the block in which the last piece ended.
     is_shared: bool,
-    /// What is before this is the disk's thread's.
+    /// The offset up to which bytes were handed over to the disk's thread.
     given: u64,
-    /// What is written again of what is before the piece, and where.
+    /// Bytes before the piece that are written again, and their offset.
     again: (u64, Vec<u8>),
     jobs: Jobs,
     spare: Receiver<Piece>,
 }
 
-/// A new file, of which `piece_bytes` go to the disk at once; twice that is its memory. While `is_behind` what is written goes through
-/// the kernel's cache all the same: that takes it at once, if the disk does not.
+/// Creates a file that is written to the disk in pieces of `piece_bytes`; it uses twice that as memory. While `is_behind` is set, pieces go
+/// through the kernel's page cache, which takes them at once when the disk does not.
 pub fn create(
     path: &Path,
     piece_bytes: usize,
     is_behind: Arc<AtomicBool>,
 ) -> Result<(Claim, Claimed, Position), BagError> {
     let file = File::options().write(true).create_new(true).open(path).map_err(BagError::write(path))?;
-    // `recover` leaves it alone until this process has ended. File systems without locks have none.
+    // Keeps `recover` off the file until this process has ended. An error is ignored: some file systems have no locks.
     let _ = file.try_lock();
     let position = Position::default();
     let (jobs, spare) = Disk::start(path, &file, piece_bytes, is_behind).inspect_err(|_| {
@@ -84,7 +84,7 @@ pub fn create(
 }
 
 impl Claim {
-    /// The file can be written up to here.
+    /// Reserves space, so that the file can be written up to `end`.
     ///
     /// # Errors
     /// [`BagError::Full`].
@@ -100,7 +100,7 @@ impl Claim {
                 }
                 Err(Errno::NOSPC | Errno::DQUOT | Errno::FBIG) => {}
                 Err(Errno::INTR) => return self.up_to(end),
-                // Then a full disk is an error of `write`, and `recover` ends the file.
+                // A full disk is then an error of `write`, and `recover` completes the file.
                 Err(Errno::OPNOTSUPP | Errno::NOSYS) => {
                     self.is_impossible = true;
                     return Ok(());
@@ -114,7 +114,7 @@ impl Claim {
     /// Waits until the disk's thread has written all that it was given.
     ///
     /// # Errors
-    /// It could not.
+    /// The thread could not write it.
     pub fn wait(&self) -> Result<(), BagError> {
         self.wait_for(Job::Tell)
     }
@@ -125,7 +125,7 @@ impl Claim {
         told.and_then(|()| done.recv().map_err(|_| self.jobs.fault())).map_err(BagError::write(&self.path))
     }
 
-    /// Gives back what was not written, and has the rest on the disk.
+    /// Gives back the reserved space behind `end`, and syncs the file to the disk.
     pub fn release(&self, end: u64) -> Result<(), BagError> {
         self.wait()?;
         self.file.set_len(end).and_then(|()| self.file.sync_all()).map_err(BagError::write(&self.path))
@@ -133,7 +133,7 @@ impl Claim {
 }
 
 impl Claimed {
-    /// What is in the piece is the disk's; where the file ends within a block, that begins the next piece.
+    /// Hands the piece over to the disk's thread. A partial block at its end also begins the next piece.
     fn hand_over(&mut self) -> io::Result<()> {
         self.hand_over_again()?;
         let next = self.spare.recv().map_err(|_| self.jobs.fault())?;
@@ -156,7 +156,7 @@ impl Claimed {
 }
 
 impl Drop for Claim {
-    /// What was given is in the file when this is gone, of a bag that was not finished, too; and the file is closed, for `recover`.
+    /// Waits until the file has all that was handed over, also that of an unfinished bag, and is closed, so that `recover` can take it.
     fn drop(&mut self) {
         let _ = self.wait_for(Job::Close);
     }
@@ -197,7 +197,7 @@ impl Write for Claimed {
 }
 
 impl Seek for Claimed {
-    /// Back to the head of a chunk, whose length is known when the chunk is whole, and to the end again: until then a kill leaves a chunk
+    /// Seeks to the head of a chunk, to write its length when the chunk is complete, and to the end again. Until then a kill leaves a chunk
     /// that is longer than its file.
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         let end = self.end.get();

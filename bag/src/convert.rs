@@ -17,15 +17,15 @@ use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// How often is looked whether there is room.
+/// The number of bytes between two checks of the free space.
 const STEP: u64 = 16 << 20;
-/// The record in which rosbag2 repeats its `metadata.yaml`, which a new bag has its own of.
+/// The record in which rosbag2 repeats its `metadata.yaml`. It is not copied: a new bag has its own.
 const OF_ROSBAG2: &str = "rosbag2";
 
 /// Finds the definition of a topic's type, with a message of the topic, if there is one.
 type Define<'h> = Box<dyn FnMut(&Topic, Option<&[u8]>) -> Option<Definition> + 'h>;
 
-/// What a new bag has of the old ones, and the callbacks of [`convert`].
+/// Selects what a new bag has of the old ones, and holds the callbacks of [`convert`].
 pub struct Hooks<'h> {
     /// Whether a topic is kept.
     pub wants: Box<dyn FnMut(&Topic) -> bool + 'h>,
@@ -50,7 +50,7 @@ impl Default for Hooks<'_> {
 /// The result of a conversion.
 #[derive(Clone, Debug)]
 pub struct Converted {
-    /// Its files.
+    /// The files of the new bag.
     pub files: Vec<FileSummary>,
     /// The damaged parts of the bags that were read; all undamaged parts were converted.
     pub damage: Vec<(PathBuf, Damage)>,
@@ -106,7 +106,7 @@ pub fn convert(
         unseen: STEP,
     };
     let converted = conversion.run(all).map_err(|error| match error {
-        // Nothing is kept of what is whole up to there.
+        // `Full` promises a bag that is complete so far, but nothing is kept of this one.
         BagError::Full { bytes, .. } | BagError::NoRoom { bytes, .. } => {
             BagError::NoRoom { path: to.to_owned(), bytes }
         }
@@ -116,15 +116,15 @@ pub fn convert(
     Ok(Converted { files, ..converted })
 }
 
-/// Where it is written, which is removed unless it is [kept](Self::keep).
+/// The temporary folder of the new bag, which is removed unless it is [kept](Self::keep).
 struct Work {
     folder: PathBuf,
-    /// The folder, locked as long as it is written.
+    /// The lock of the folder, held while the bag is written.
     _lock: File,
 }
 
 impl Work {
-    /// What others have locked stays; what a killed conversion has left is removed.
+    /// Creates and locks the folder. Folders that others have locked stay; what a killed conversion left is removed.
     fn create(to: &Path) -> Result<Self, BagError> {
         let parent = to.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
         fs::create_dir_all(parent).map_err(BagError::write(parent))?;
@@ -143,13 +143,13 @@ impl Work {
         Err(BagError::Exists(to.to_owned()))
     }
 
-    /// It is what it was written for, if nothing came there meanwhile.
+    /// Renames the folder to `to`, unless something has that name by now.
     fn keep(mut self, to: &Path, files: Vec<FileSummary>) -> Result<Vec<FileSummary>, BagError> {
         rename_to_new(&self.folder, to).map_err(|source| match source.kind() {
             ErrorKind::AlreadyExists => BagError::Exists(to.to_owned()),
             _ => BagError::Write { path: to.to_owned(), source },
         })?;
-        // What has the name now is another's.
+        // Another process may use the old name by now.
         self.folder = PathBuf::new();
         let moved = |file: FileSummary| FileSummary { path: to.join(file.name()), ..file };
         Ok(files.into_iter().map(moved).collect())
@@ -162,18 +162,18 @@ impl Drop for Work {
     }
 }
 
-/// The new folder, locked. `None`: another one took it for a leftover before it was.
+/// Locks the new folder. `None`: another process removed it as a leftover before it was locked.
 fn locked(folder: &Path) -> io::Result<Option<File>> {
     let lock = match File::open(folder) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
         lock => lock?,
     };
-    // Where there are no locks nobody removes it.
+    // On a file system without locks, no process removes the folder.
     let is_own = !matches!(lock.try_lock(), Err(TryLockError::WouldBlock)) && is_named(&lock, folder);
     Ok(is_own.then_some(lock))
 }
 
-/// Removes what is there unless it is locked, or is there only now, for its writer gave it another name.
+/// Removes a leftover folder, unless it is locked, or its writer has renamed it since it was opened.
 fn remove_leftover(folder: &Path) {
     let flags = libc::O_DIRECTORY | libc::O_NOFOLLOW;
     let lock = File::options().read(true).custom_flags(flags).open(folder);
@@ -211,7 +211,7 @@ impl Out {
         }
     }
 
-    /// SQLite has it as custom data, `name/key`, or `name#2/key` if another record of the name has the key with another value.
+    /// Writes a record. In SQLite it is custom data, `name/key`, or `name#2/key` if `name/key` has another value.
     fn write_metadata(&mut self, name: &str, values: BTreeMap<String, String>) -> Result<(), BagError> {
         match self {
             Out::Mcap(writer) => writer.write_metadata(name, values),
@@ -235,13 +235,13 @@ struct Conversion<'h> {
     folder: PathBuf,
     out: Out,
     hooks: Hooks<'h>,
-    /// The topics of the file that is read, by their addresses; `None`: it is not wanted. Each topic comes before its messages.
+    /// The topics of the file that is read, by their addresses; `None`: not wanted. Each topic comes before its messages.
     known: HashMap<usize, Option<TopicId>>,
-    /// Those that are written.
+    /// The topics of the new bag.
     ids: HashMap<Topic, TopicId>,
-    /// What `metadata.yaml` of the bag that is read says.
+    /// The hashes in the `metadata.yaml` of the bag that is read.
     type_hashes: BTreeMap<(String, String), String>,
-    /// The records that are written: each file of a bag may have the same.
+    /// The metadata records that were written. The files of a bag may repeat them.
     metadata: BTreeSet<(String, BTreeMap<String, String>)>,
     damage: Vec<(PathBuf, Damage)>,
     damages: u64,
@@ -250,11 +250,11 @@ struct Conversion<'h> {
     are_publishers_lost: bool,
     /// Messages with a number or a time of publication, which SQLite has no column for.
     unkept: u64,
-    /// Bytes that were written since it was looked how much room there is.
+    /// Bytes that were written since the last check of the free space.
     unseen: u64,
 }
 
-/// Where messages are from, and how they are packed.
+/// The file that is read, and how its messages are packed.
 struct Source<'p> {
     path: &'p Path,
     packs_messages: Option<bool>,
@@ -294,12 +294,12 @@ impl Conversion<'_> {
         Ok(())
     }
 
-    /// Reads a file that is `source`, or what is unpacked of it.
+    /// Reads the file of `source`, or its decompressed content.
     fn file(&mut self, path: &Path, source: &mut Source<'_>) -> Result<(), BagError> {
         self.known.clear();
         if form_of(path)? == Form::Sqlite3 {
             let mut database = Database::open(path)?;
-            // Definitions are looked for with a message of their topic, so those without any are last.
+            // `define` gets a message of the topic, so topics without messages come last.
             database.read(&mut |message| self.message(&message, source))?;
             for topic in database.topics() {
                 self.id(topic, None)?;
@@ -310,9 +310,9 @@ impl Conversion<'_> {
         let mut reader = FileReader::open(path)?;
         reader.read(&mut |event| match event {
             Event::Topic(topic) => {
-                // Its address may have been another's.
+                // The address may have been that of another topic.
                 self.known.remove(&Arc::as_ptr(topic).addr());
-                // A definition is looked for with a message.
+                // `define` gets a message of the topic, so the topic is added with its first one.
                 if self.hooks.define.is_none() { self.id(topic, None).map(drop) } else { Ok(()) }
             }
             Event::Message(message) => self.message(&message, source),
@@ -373,7 +373,7 @@ impl Conversion<'_> {
         }
     }
 
-    /// The topic as it is written, which is in the bag from now on, if it is wanted.
+    /// The id of a topic in the new bag, to which it is added if it is new. `None`: it is not wanted.
     fn id(&mut self, topic: &Arc<Topic>, cdr: Option<&[u8]>) -> Result<Option<TopicId>, BagError> {
         let address = Arc::as_ptr(topic).addr();
         if let Some(id) = self.known.get(&address) {
@@ -387,7 +387,7 @@ impl Conversion<'_> {
     fn wanted(&mut self, topic: &Topic, cdr: Option<&[u8]>) -> Result<TopicId, BagError> {
         let mut key = topic.clone();
         if let Out::Sqlite3(..) = self.out {
-            // A topic is one row there: only with its publishers has it several channels.
+            // SQLite has one row for a topic, so the channels of its publishers are joined.
             key.qos.clear();
             if key.metadata.remove(PUBLISHER).is_some() {
                 self.are_publishers_lost = true;
@@ -452,7 +452,7 @@ impl Conversion<'_> {
     }
 }
 
-/// Errors name the file that was there before.
+/// Makes errors name the compressed file.
 fn unpacked_is(error: BagError, packed: &Path) -> BagError {
     match error {
         BagError::NoBag { reason, .. } => {

@@ -18,13 +18,13 @@ use std::sync::{Arc, OnceLock};
 
 /// The block size of direct I/O: lengths, memory addresses and file offsets must be multiples of it.
 pub const BLOCK: usize = 4096;
-/// The one that is filled and the one that is being written.
+/// One piece is filled while the other one is written.
 const PIECES: usize = 2;
 
-/// Memory that begins where a block can.
+/// Memory that is aligned for direct I/O.
 pub struct Piece {
     bytes: Vec<u8>,
-    /// Where the first block is.
+    /// The offset of the first block.
     first: usize,
     pub len: usize,
 }
@@ -40,7 +40,7 @@ impl Piece {
         &self.bytes[self.first..self.first + self.len]
     }
 
-    /// What there is room for from `at` on; how many bytes that is.
+    /// Copies as many bytes to `at` as there is room for. Returns their number.
     pub fn put(&mut self, at: usize, bytes: &[u8]) -> usize {
         let room = self.bytes.len() - BLOCK - at;
         let count = bytes.len().min(room);
@@ -54,23 +54,23 @@ impl Piece {
     }
 }
 
-/// What the disk's thread is told, in this order.
+/// A job of the disk's thread, which does jobs in the order in which they are sent.
 pub enum Job {
-    /// To be written from here on. The first block, if it is shared, was written before, in part.
+    /// Writes a piece from `start` on. If `is_shared`, its first block was written before, in part.
     Write { piece: Piece, start: u64, is_shared: bool },
-    /// To be written in the place of others.
+    /// Writes bytes over those at an offset.
     Again(u64, Vec<u8>),
-    /// To be said when all of before is done.
+    /// Signals that all jobs before it are done.
     Tell(SyncSender<()>),
-    /// The last one: to be said when all of before is done and the file is closed here.
+    /// The last job: signals that all jobs before it are done and the file is closed here.
     Close(SyncSender<()>),
 }
 
-/// To the disk's thread.
+/// Sends jobs to the disk's thread.
 #[derive(Clone)]
 pub struct Jobs {
     sender: Sender<Job>,
-    /// Why it has ended.
+    /// Why the thread has ended.
     fault: Arc<OnceLock<io::Error>>,
 }
 
@@ -93,16 +93,16 @@ impl Jobs {
 /// The thread that waits for the disk.
 pub struct Disk {
     file: File,
-    /// The same one, past the kernel's cache.
+    /// The same file, opened for direct I/O.
     past_cache: Option<File>,
     is_behind: Arc<AtomicBool>,
     give_back: Sender<Piece>,
-    /// What the kernel was last told to write out.
+    /// The range that the kernel was last told to write out.
     hurried: Range<u64>,
 }
 
 impl Disk {
-    /// The thread of a file, of which `piece_bytes` go to the disk at once: what it is told by, and where pieces come back.
+    /// Starts the thread of a file that is written in pieces of `piece_bytes`. Returns its jobs, and the channel of written pieces.
     pub fn start(
         path: &Path,
         file: &File,
@@ -118,7 +118,7 @@ impl Disk {
         let mut disk = Disk { file, past_cache, is_behind, give_back, hurried: 0..0 };
         let jobs = Jobs { sender, fault: Arc::default() };
         let fault = jobs.fault.clone();
-        // Why it ends is there before it has ended.
+        // The fault is set before `work` is dropped, so before a sender notices the end.
         let run = move || match disk.run(&work) {
             Ok(closed) => {
                 drop(disk);
@@ -131,13 +131,13 @@ impl Disk {
         Ok((jobs, spare))
     }
 
-    /// Until the last job, or until there are no more; who is to be told that the file is closed.
+    /// Does jobs until the last one, or until all senders are gone. Returns the sender to notify when the file is closed.
     fn run(&mut self, jobs: &Receiver<Job>) -> io::Result<Option<SyncSender<()>>> {
         while let Ok(job) = jobs.recv() {
             match job {
                 Job::Write { piece, start, is_shared } => {
                     self.write(piece.get(), start, is_shared)?;
-                    // Nobody wants it any more after the last.
+                    // Nobody receives the piece after the last job.
                     let _ = self.give_back.send(piece);
                 }
                 Job::Again(at, bytes) => self.file.write_all_at(&bytes, at)?,
@@ -148,10 +148,10 @@ impl Disk {
         Ok(None)
     }
 
-    /// Blocks that are written once go past the cache; one that two pieces share goes through it each time, for what the cache has of a
-    /// block would have to be written first.
+    /// Writes blocks that are written once past the cache. A block that two pieces share goes through the cache each time, because the
+    /// kernel would have to write its cached part first.
     fn write(&mut self, bytes: &[u8], start: u64, is_shared: bool) -> io::Result<()> {
-        // Not hurried: that may wait for the disk.
+        // Without `hurry`, which may wait for the disk.
         if self.is_behind.load(Ordering::Relaxed) {
             return self.file.write_all_at(bytes, start);
         }
@@ -162,7 +162,7 @@ impl Disk {
         let is_written = match &self.past_cache {
             Some(file) => match file.write_all_at(bytes, start) {
                 Ok(()) => true,
-                // A disk of longer blocks, for one.
+                // For example, the disk has longer blocks.
                 Err(error) if error.raw_os_error() == Some(libc::EINVAL) => {
                     self.past_cache = None;
                     false
@@ -176,7 +176,7 @@ impl Disk {
             self.file.write_all_at(bytes, start)?;
         }
         self.file.write_all_at(rest, end)?;
-        // What is in the cache all the same, from before or because the file system does not do otherwise.
+        // Some of it is in the cache: shared blocks, or all of it if the file system has no direct I/O.
         let range = self.hurried.end..end;
         hurry(&self.file, range.clone(), libc::SYNC_FILE_RANGE_WRITE);
         let before = std::mem::replace(&mut self.hurried, range);
@@ -190,19 +190,19 @@ impl Disk {
 /// Renames, unless `to` exists.
 pub fn rename_to_new(from: &Path, to: &Path) -> io::Result<()> {
     match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
-        // File systems that cannot do that; `rename` does not replace a folder that has something in it.
+        // The file system cannot do that; `rename` does not replace a folder that is not empty.
         Err(Errno::INVAL | Errno::NOSYS) if from.is_dir() || !to.exists() => fs::rename(from, to),
         Err(Errno::INVAL | Errno::NOSYS) => Err(io::ErrorKind::AlreadyExists.into()),
         other => other.map_err(Into::into),
     }
 }
 
-/// Has the disk begin with what is in the cache: the kernel alone would begin when a tenth of the memory is unwritten, and then stop the
-/// writer for long. If that is refused, it is written later. Not `posix_fadvise`, which drops what is on the disk, and disturbs every core
-/// for that.
+/// Starts writing what is in the cache: the kernel alone would begin when a tenth of the memory is unwritten, and then block the
+/// writer for long. If that is refused, it is written later. `posix_fadvise` is no substitute: it drops what is on the disk, and
+/// disturbs every core for that.
 #[expect(unsafe_code, reason = "no crate that is used here has the call")]
 fn hurry(file: &File, range: Range<u64>, how: libc::c_uint) {
-    // No bytes are all that follow.
+    // To the kernel, a length of 0 means all that follows.
     let Some(Ok(bytes)) = (!range.is_empty()).then(|| (range.end - range.start).try_into()) else { return };
     let Ok(offset) = range.start.try_into() else { return };
     // SAFETY: the descriptor is open as long as the file is borrowed; the call touches no memory of this process.

@@ -85,7 +85,7 @@ impl BagError {
         |source| BagError::Read { path, source }
     }
 
-    /// What the MCAP library refuses when it writes.
+    /// Converts errors of the MCAP library's writer.
     pub(crate) fn mcap(path: &Path) -> impl FnOnce(mcap::McapError) -> Self {
         let path = path.to_owned();
         |error| match error {

@@ -14,19 +14,19 @@ use std::path::Path;
 
 /// The footer, a record of 29 bytes, and the magic bytes.
 const END: u64 = 29 + 8;
-/// More than any disk has room for.
+/// More messages than any disk has room for.
 const MOST_MESSAGES: u64 = 1 << 45;
 
-/// Keys and values of a record, and its name.
+/// The name of a metadata record, and its keys and values.
 pub type Metadata = (String, BTreeMap<String, String>);
 
-/// Metadata of a file, all of it.
+/// The maximum length of all metadata of a file.
 const MOST_METADATA: usize = 64 << 20;
 
 /// The content of a file by its index, and its metadata records. `None`: it has no index, or only a damaged one.
 ///
 /// # Errors
-/// It cannot be read.
+/// The file cannot be read.
 pub fn index_of(path: &Path) -> Result<Option<(FileSummary, Vec<Metadata>)>, BagError> {
     let file = File::open(path).map_err(BagError::read(path))?;
     let found = file.metadata().map_err(BagError::read(path))?;
@@ -57,7 +57,7 @@ pub fn index_of(path: &Path) -> Result<Option<(FileSummary, Vec<Metadata>)>, Bag
                 of_file.start_ns = stats.message_start_time;
                 of_file.end_ns = stats.message_end_time.max(stats.message_start_time);
                 counts = stats.channel_message_counts;
-                // They are added up, here and elsewhere.
+                // Callers add the counts, and the sums must not overflow.
                 if of_file.messages > MOST_MESSAGES || counts.values().any(|count| *count > MOST_MESSAGES) {
                     return Ok(None);
                 }
@@ -66,7 +66,7 @@ pub fn index_of(path: &Path) -> Result<Option<(FileSummary, Vec<Metadata>)>, Bag
             Ok(Some(Record::MetadataIndex(index))) => {
                 let record =
                     read(index.offset, index.offset.saturating_add(index.length))?.unwrap_or_default();
-                // Each may point at the same.
+                // Several indexes may refer to the same record.
                 metadata_bytes += record.len();
                 if metadata_bytes > MOST_METADATA {
                     return Ok(None);
@@ -88,7 +88,7 @@ pub fn index_of(path: &Path) -> Result<Option<(FileSummary, Vec<Metadata>)>, Bag
     Ok(Some((of_file, metadata)))
 }
 
-/// Where the summary begins, by the last [`END`] bytes of a file.
+/// The position of the summary, from the last [`END`] bytes of a file.
 fn start(end: &[u8]) -> Option<u64> {
     let is_whole = end.ends_with(MAGIC) && end.len() as u64 == END;
     match is_whole.then(|| Records(end).next()).flatten() {
@@ -100,7 +100,7 @@ fn start(end: &[u8]) -> Option<u64> {
     }
 }
 
-/// `None`: that is no part of the file, or more than anybody holds in memory.
+/// Reads a range. `None`: it is not in the file, is longer than `MOST_BYTES`, or cannot be read from the disk.
 fn read(file: &File, from: u64, to: u64) -> io::Result<Option<Vec<u8>>> {
     let bytes = file.metadata()?.len();
     let Some(len) = to.checked_sub(from).filter(|len| to <= bytes && *len <= MOST_BYTES as u64) else {

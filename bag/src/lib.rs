@@ -99,7 +99,7 @@ pub struct Topic {
 /// The encoding of ROS 2's messages.
 pub const CDR: &str = "cdr";
 
-/// The key of a channel's metadata that tells publishers of a topic apart: what each of them keeps for late joiners is its own.
+/// The key of a channel's metadata that tells publishers of a topic apart: each of them keeps its own messages for late joiners.
 pub const PUBLISHER: &str = "publisher";
 
 /// The definition of a type, with those of the types that it needs.
@@ -107,7 +107,7 @@ pub const PUBLISHER: &str = "publisher";
 pub struct Definition {
     /// `ros2msg`, `ros2idl`, or what another program wrote, such as `jsonschema`; empty if unknown.
     pub encoding: String,
-    /// A text, or what else the encoding says.
+    /// A text, or bytes, depending on the encoding.
     pub data: Vec<u8>,
 }
 
@@ -145,5 +145,5 @@ pub struct Stamp {
     pub publish_ns: u64,
 }
 
-/// The longest message that is written, and the longest chunk that is read: 1 GiB.
+/// The longest message that is written: 1 GiB. A chunk that is read may be 1 MiB longer.
 pub const MOST_BYTES: usize = 1 << 30;

@@ -20,13 +20,13 @@ pub struct Description<'d> {
 }
 
 impl<'d> Description<'d> {
-    /// That of an MCAP bag.
+    /// The description of an MCAP bag.
     pub fn mcap(custom_data: &'d BTreeMap<String, String>) -> Self {
         Description { storage: Storage::Mcap, packs_messages: false, custom_data }
     }
 }
 
-/// Writes it anew, at once or not at all.
+/// Replaces the `metadata.yaml` of a folder, at once or not at all.
 pub fn write_metadata(
     folder: &Path,
     description: &Description<'_>,
@@ -37,7 +37,7 @@ pub fn write_metadata(
     let write = || {
         let mut file = File::create(&unfinished)?;
         io::Write::write_all(&mut file, text(description, files).as_bytes())?;
-        // Without that, a crash of the machine may leave an empty one.
+        // Without this, a crash of the machine may leave an empty file.
         file.sync_all()?;
         fs::rename(&unfinished, &path)
     };
@@ -47,7 +47,7 @@ pub fn write_metadata(
     })
 }
 
-/// What is in it of the bag, as `.db3` files have it, too.
+/// The content of `metadata.yaml`, as `.db3` files repeat it.
 pub fn information(description: &Description<'_>, files: &[FileSummary]) -> String {
     let text = text(description, files);
     let lines = text.lines().skip(1).map(|line| line.strip_prefix("  ").unwrap_or(line));
@@ -92,7 +92,7 @@ fn write_all<'t>(
         writeln!(out, "        name: {}", quoted(&topic.name))?;
         writeln!(out, "        type: {}", quoted(&topic.type_name))?;
         writeln!(out, "        serialization_format: {}", quoted(&topic.encoding))?;
-        // What is no list of profiles stays in the channel's metadata.
+        // A text that is not a list of profiles is kept in the channel's metadata only.
         let qos = in_words(&topic.qos).unwrap_or_default();
         if qos.is_empty() {
             writeln!(out, "        offered_qos_profiles: []")?;
@@ -123,7 +123,7 @@ fn write_all<'t>(
     writeln!(out, "  ros_distro: jazzy")
 }
 
-/// A text as YAML's double quotes hold any.
+/// Puts any text into YAML's double quotes.
 fn quoted(text: &str) -> String {
     let mut out = String::from('"');
     for c in text.chars() {

@@ -8,9 +8,9 @@ use std::collections::{BTreeSet, BinaryHeap, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// So many files are open at once, and one more.
+/// The number of files that stay open; of the others one is open at a time.
 const MOST_OPEN: usize = 256;
-/// Messages that wait for their turn: chunks of times that overlap.
+/// The maximum bytes of messages that wait for their turn, because the times of chunks overlap.
 const MOST_WAITING: usize = 2 << 30;
 
 /// A message and its topic, an index into [`Ordered::topics`].
@@ -30,15 +30,15 @@ pub struct OwnedMessage {
 /// come when the chunk is read.
 pub struct Ordered {
     files: Vec<PathBuf>,
-    /// Of every file, the latest first.
+    /// The extents of all files, the latest first.
     extents: Vec<(usize, Extent)>,
-    /// So many of them are to be read.
+    /// The number of extents that are still to be read.
     left: usize,
-    /// Those that were read from; a file is looked through once.
+    /// The open files. They stay open, because opening a file scans it.
     open: Vec<Option<Open>>,
     topics: Vec<Arc<Topic>>,
     numbers: HashMap<(String, String, Option<String>), usize>,
-    /// By their times, and the order in which they were read.
+    /// Messages by their times, and by the order in which they were read.
     waiting: BinaryHeap<Reverse<(u64, u64, OwnedMessage)>>,
     waiting_bytes: usize,
     count: u64,
@@ -48,12 +48,12 @@ pub struct Ordered {
 
 struct Open {
     reader: FileReader,
-    /// The topic of a channel, by its address, which is not another's as long as it is here.
+    /// The topic of a channel, by its address, which no other topic gets while the `Arc` is here.
     numbers: HashMap<usize, (Arc<Topic>, usize)>,
 }
 
 impl Ordered {
-    /// Finds where messages are, without reading them; a file without an index is read. `tell` hears of each file before that.
+    /// Finds where messages are, without reading them; a file without an index is read. `tell` is called with each file before that.
     ///
     /// # Errors
     /// There is no bag; a file cannot be read.
@@ -85,23 +85,23 @@ impl Ordered {
             let is_kept = file < MOST_OPEN;
             bag.open.push(is_kept.then(|| Open { reader, numbers: HashMap::new() }));
         }
-        // Stable: of two that begin at the same time the one in front is read first.
+        // Stable: of two extents that begin at the same time, the one in front is read first.
         bag.extents.reverse();
         bag.extents.sort_by_key(|(_, extent)| Reverse(extent.start_ns));
         bag.left = bag.extents.len();
         Ok(bag)
     }
 
-    /// Its topics; of a name one for each type and [publisher](crate::PUBLISHER), if there are several. A damaged file may come to have
-    /// more while it is read.
+    /// The bag's topics; a name has one for each type and [publisher](crate::PUBLISHER). A damaged file may add topics while it is
+    /// read.
     pub fn topics(&self) -> &[Arc<Topic>] {
         &self.topics
     }
 
-    /// The earliest and the latest time of reception, by what the files say; `None` without messages.
+    /// The earliest and the latest time of reception that the files state; `None` without messages.
     pub fn span_ns(&self) -> Option<(u64, u64)> {
         let extents = || self.extents.iter().map(|(_, extent)| extent);
-        // A chunk with topics alone is of time 0.
+        // A chunk without messages has the time 0.
         let is_timed = extents().any(|extent| extent.end_ns > 0);
         let extents = extents().filter(|extent| !is_timed || extent.end_ns > 0);
         let start = extents.clone().map(|extent| extent.start_ns).min();
@@ -112,12 +112,12 @@ impl Ordered {
     pub fn rewind(&mut self, from_ns: u64) {
         self.waiting.clear();
         self.waiting_bytes = 0;
-        // Latest first by their beginning: those in front of the first that ends late enough are of no use.
+        // Extents are sorted by their beginning, the latest first: those behind the last one that ends late enough are not needed.
         let used = self.extents.iter().rposition(|(_, extent)| extent.end_ns >= from_ns);
         self.left = used.map_or(0, |last| last + 1);
     }
 
-    /// The next message; `None`: that was all.
+    /// The next message; `None` at the end.
     ///
     /// # Errors
     /// A file cannot be read.

@@ -8,13 +8,13 @@ use std::fs::{self, File};
 use std::io::Read;
 use std::path::{Component, Path, PathBuf};
 
-/// What every MCAP file begins and ends with.
+/// The bytes with which every MCAP file begins and ends.
 pub(crate) const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
-/// What every SQLite database begins with.
+/// The bytes with which every SQLite database begins.
 const SQLITE_MAGIC: &[u8; 16] = b"SQLite format 3\0";
-/// What whatever zstd compressed begins with; no CDR does.
+/// The bytes with which the output of zstd begins; no CDR begins with them.
 const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
-/// No `metadata.yaml` is longer.
+/// The maximum length of a `metadata.yaml`.
 const MOST_METADATA: u64 = 64 << 20;
 /// From this version on paths are relative to the folder that the file is in.
 const PATHS_OF_FOLDER: u32 = 4;
@@ -31,7 +31,7 @@ pub enum Form {
 /// A bag that any tool wrote.
 #[derive(Debug, Default)]
 pub struct Parts {
-    /// In their order.
+    /// The files, in their order.
     pub files: Vec<PathBuf>,
     /// Whether each message is compressed. `None`: not stated; the messages themselves show it.
     pub packs_messages: Option<bool>,
@@ -78,7 +78,7 @@ struct Described {
     type_description_hash: String,
 }
 
-/// Whether a message is compressed by itself, as rosbag2 does if told so: [`convert`](crate::convert()) decompresses it.
+/// Whether a message is compressed by itself, an option of rosbag2: [`convert`](crate::convert()) decompresses it.
 pub fn is_compressed(message: &[u8]) -> bool {
     message.starts_with(&ZSTD_MAGIC)
 }
@@ -86,7 +86,7 @@ pub fn is_compressed(message: &[u8]) -> bool {
 /// Linux's number of an error of the disk.
 pub(crate) const EIO: i32 = 5;
 
-/// Whether an MCAP file has no beginning: whoever wrote it was killed, or the disk was full or lost its power, before that was there.
+/// Whether an MCAP file has no beginning: its writer was killed, or the disk was full or lost power, before that was written.
 fn is_headless(path: &Path, begin: &[u8]) -> bool {
     let begin = &begin[..begin.len().min(MAGIC.len())];
     let is_short = begin.len() < MAGIC.len() && MAGIC.starts_with(begin);
@@ -105,7 +105,7 @@ pub fn form_of(path: &Path) -> Result<Form, BagError> {
     }
     let mut begin = Vec::new();
     match file.take(SQLITE_MAGIC.len() as u64).read_to_end(&mut begin) {
-        // What is behind a damaged sector may be found.
+        // Data behind a damaged sector may still be found.
         Err(error) if error.raw_os_error() == Some(EIO) => begin.clear(),
         read => _ = read.map_err(BagError::read(path))?,
     }
@@ -122,10 +122,10 @@ pub fn form_of(path: &Path) -> Result<Form, BagError> {
     }
 }
 
-/// What a bag consists of: what `metadata.yaml` names, or without one what is in the folder; or a file alone.
+/// The parts of a bag: the files that `metadata.yaml` names, or without one the files of the folder; or a file alone.
 ///
 /// # Errors
-/// There is no bag, or its `metadata.yaml` names what is not there or not its own.
+/// There is no bag, or its `metadata.yaml` names a file that does not exist or is outside of the folder.
 pub fn parts_of(path: &Path) -> Result<Parts, BagError> {
     if !fs::metadata(path).map_err(BagError::read(path))?.is_dir() {
         return Ok(Parts { files: vec![path.to_owned()], ..Parts::default() });
@@ -186,7 +186,7 @@ fn described_parts(folder: &Path, described: &Path, file: File) -> Result<Parts,
     for name in &information.relative_file_paths {
         let relative = Path::new(name);
         let relative = if information.version < PATHS_OF_FOLDER {
-            // Of the folder above, whose name may have been another one.
+            // The path begins with the folder, which may have been renamed.
             relative.file_name().map_or(relative, Path::new)
         } else {
             relative
@@ -223,7 +223,7 @@ fn described_parts(folder: &Path, described: &Path, file: File) -> Result<Parts,
         let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
         name.split_once('.').map(|(_, end)| end.to_owned())
     };
-    // Of the same kind, or it is a copy in another one; an empty one has nothing.
+    // A file of another kind is a converted copy; an empty file has no messages.
     let is_part = |file: &PathBuf| {
         !named.contains(&bare(file))
             && files.iter().any(|named| end(named) == end(file))
@@ -255,7 +255,7 @@ fn files_in(folder: &Path) -> Result<Vec<PathBuf>, BagError> {
     Ok(files)
 }
 
-/// By the numbers in their names.
+/// Sorts files by the numbers in their names.
 pub(crate) fn in_order(files: &mut [PathBuf]) {
     files.sort_by_cached_key(|file| {
         let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();

@@ -43,7 +43,7 @@ struct Span {
 impl Policy {
     fn name(&self, names: &[&'static str]) -> Result<&'static str, String> {
         match self {
-            // Of a ROS 2 that has more of them.
+            // A later ROS 2 may have more policies.
             Policy::Number(number) => {
                 let known = usize::try_from(*number).ok().and_then(|number| names.get(number));
                 Ok(known.copied().unwrap_or("unknown"))
@@ -56,10 +56,10 @@ impl Policy {
     }
 }
 
-/// A list of profiles with words for the policies, whatever rosbag2 wrote it; empty for none.
+/// Converts a list of profiles of any version of rosbag2 to one with words for the policies; empty for an empty text.
 ///
 /// # Errors
-/// What is no such list.
+/// The text is no such list.
 pub fn in_words(text: &str) -> Result<String, String> {
     if text.trim().is_empty() {
         return Ok(String::new());
@@ -87,7 +87,7 @@ pub fn in_words(text: &str) -> Result<String, String> {
     Ok(out)
 }
 
-/// A list that has the profiles of both; one that cannot be read is left out.
+/// Joins two lists, without duplicates; a list that cannot be read is left out.
 pub fn joined(one: &str, other: &str) -> String {
     let [one, other] = [one, other].map(|text| in_words(text).unwrap_or_default());
     let profiles = |text: &str| -> Vec<String> {

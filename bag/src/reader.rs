@@ -14,9 +14,9 @@ use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// What every record begins with: its kind and its length.
+/// The length of the head of each record: its kind and its length.
 const RECORD_HEAD: u64 = 9;
-/// Of damage more is counted, not told one by one.
+/// The number of damaged parts that are listed; further ones are only counted.
 const MOST_DAMAGE: usize = 100;
 
 /// The content of a file.
@@ -32,19 +32,19 @@ pub struct FileSummary {
     pub start_ns: u64,
     /// The latest one.
     pub end_ns: u64,
-    /// By name and type; how many messages. The QoS is that of all its channels.
+    /// Topics by name and type, with the number of messages. The QoS is that of all channels of the topic.
     pub topics: BTreeMap<(String, String), (Topic, u64)>,
     /// The names of its attachments.
     pub attachments: Vec<String>,
     /// How its first chunk is compressed.
     pub compression: Compression,
-    /// Messages that were received before the one that is in front of them.
+    /// Messages that were received before one that is in front of them.
     pub disordered: u64,
 }
 
 impl FileSummary {
-    /// A message more.
-    pub(crate) fn see(&mut self, log_ns: u64) {
+    /// Counts a message.
+    pub(crate) fn count_message(&mut self, log_ns: u64) {
         self.start_ns = if self.messages == 0 { log_ns } else { self.start_ns.min(log_ns) };
         self.end_ns = self.end_ns.max(log_ns);
         self.messages += 1;
@@ -100,16 +100,16 @@ pub struct Attachment<'b> {
     pub data: Cow<'b, [u8]>,
 }
 
-/// What comes next.
+/// The next part of a file.
 #[derive(Debug)]
 pub enum Event<'b> {
-    /// A topic, before its first message, and if it has none.
+    /// A topic, before its first message; topics without messages, too.
     Topic(&'b Arc<Topic>),
     /// A file.
     Attachment(Attachment<'b>),
     /// A message.
     Message(Message<'b>),
-    /// What a file says of itself: a name, and keys and values.
+    /// A metadata record: its name, and its keys and values.
     Metadata(String, BTreeMap<String, String>),
 }
 
@@ -117,17 +117,17 @@ pub enum Event<'b> {
 pub struct FileReader {
     file: File,
     path: PathBuf,
-    /// Its length, or 0 if it has no beginning.
+    /// The length of the file, or 0 if it has no beginning.
     bytes: u64,
     summary: FileSummary,
     damage: Vec<Damage>,
     damages: u64,
     is_ended: bool,
     schemas: HashMap<u16, (String, Option<Definition>)>,
-    /// In order: of two channels of one topic the first says how it is.
+    /// In order: the first of several channels of a topic determines its description.
     channels: BTreeMap<u16, (Arc<Topic>, u64)>,
     latest_ns: u64,
-    /// Of which one is read.
+    /// The buffer of the record that is read.
     record: Vec<u8>,
 }
 
@@ -136,10 +136,10 @@ pub struct FileReader {
 pub(crate) struct Extent {
     pub(crate) position: u64,
     pub(crate) whole: u64,
-    /// The earliest time of reception in it, by what the file says.
+    /// The earliest time of reception in it, as the file states it.
     pub(crate) start_ns: u64,
     pub(crate) end_ns: u64,
-    /// It was read, so its damage is counted.
+    /// The extent was read, so its damage is counted.
     pub(crate) is_read: bool,
 }
 
@@ -154,7 +154,7 @@ fn number(bytes: &[u8]) -> u64 {
 /// The MCAP files of a folder, in the order of the numbers in their names; or the file itself.
 ///
 /// # Errors
-/// There is none. What [`convert`](crate::convert) reads, it names.
+/// There is none. If [`convert`](crate::convert) reads the files, the error says so.
 pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
     let is_folder = fs::metadata(path).map_err(BagError::read(path))?.is_dir();
     if !is_folder {
@@ -181,13 +181,13 @@ pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
     Ok(files)
 }
 
-/// What is a bag, but no MCAP file.
+/// Why a bag that is not MCAP is refused, with the command that converts it.
 fn to_convert(what: &str, path: &Path) -> String {
     format!("{what}: `taut bag convert {} -o NEW` makes it one", path.display())
 }
 
 impl FileReader {
-    /// A `.mcap` file whose beginning was never written is opened; all of it is damaged.
+    /// Opens a file. A `.mcap` file whose beginning was never written is opened, too; all of it is damaged.
     ///
     /// # Errors
     /// It cannot be opened, or does not begin as an MCAP file.
@@ -203,7 +203,7 @@ impl FileReader {
         let mut magic = [0; 8];
         if bytes < 8 || file.read_exact_at(&mut magic, 0).is_err() || magic != *MAGIC {
             match form_of(&path) {
-                // Without its beginning nothing of it is found.
+                // Without the beginning, no record can be found.
                 Ok(Form::Mcap) => bytes = 0,
                 Ok(Form::Sqlite3) => return Err(no_bag(&to_convert("it is a database of SQLite", &path))),
                 Ok(Form::Zstd) => return Err(no_bag(&to_convert("it is compressed as a whole", &path))),
@@ -245,7 +245,7 @@ impl FileReader {
         Ok(())
     }
 
-    /// Where its messages are, in no order, without reading them. What topics it has is known then.
+    /// The extents of the messages, in no order, without reading them. The topics are known afterwards.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -263,7 +263,7 @@ impl FileReader {
                     let [start_ns, end_ns, bytes] = match kind {
                         _ if !is_there => [0; 3],
                         op::CHUNK => [number(&times[..8]), number(&times[8..16]), number(&times[16..])],
-                        // Channel and sequence number are before it.
+                        // The channel and the sequence number are in front of the time.
                         _ => [number(&times[6..14]), number(&times[6..14]), whole],
                     };
                     if bytes > 0 {
@@ -290,7 +290,7 @@ impl FileReader {
         Ok(extents)
     }
 
-    /// Reads the record that is here and so long.
+    /// Reads the record of `whole` bytes at `position`.
     pub(crate) fn read_at<E: From<BagError>>(
         &mut self,
         position: u64,
@@ -328,12 +328,12 @@ impl FileReader {
         Ok(there)
     }
 
-    /// Its topics, of those that it came to.
+    /// The topics that were read so far.
     pub(crate) fn topics(&self) -> impl Iterator<Item = &Arc<Topic>> {
         self.channels.values().map(|(topic, _)| topic)
     }
 
-    /// What is in it, once it was read.
+    /// The content of the file, after it was read.
     pub fn summary(&self) -> FileSummary {
         let mut summary = self.summary.clone();
         self.channels.values().for_each(|(topic, messages)| summary.count(topic, *messages));
@@ -352,7 +352,7 @@ impl FileReader {
         }
     }
 
-    /// Reads what is here; `false`: the disk cannot.
+    /// Fills `bytes` from `position`. Returns `false` if the disk cannot read there.
     fn fill(&self, bytes: &mut [u8], position: u64) -> Result<bool, BagError> {
         match self.file.read_exact_at(bytes, position) {
             // A damaged sector.
@@ -374,7 +374,7 @@ impl FileReader {
         Ok(Some((kind, u64::from_le_bytes(length).min(self.bytes))))
     }
 
-    /// What follows the data: the summary, which says nothing new, the footer and the magic bytes again.
+    /// Reads what follows the data: the summary, which repeats what is known, the footer and the magic bytes again.
     fn end(&mut self, mut position: u64) -> Result<(), BagError> {
         while let Some((kind, len_bytes)) = self.head(position)? {
             position += RECORD_HEAD + len_bytes;
@@ -396,7 +396,7 @@ impl FileReader {
         Ok(is_there && magic == *MAGIC)
     }
 
-    /// `record` is all of it, with kind and length.
+    /// Reads a record; `record` is all of it, with kind and length.
     fn record<E: From<BagError>>(
         &mut self,
         kind: u8,
@@ -492,7 +492,7 @@ impl FileReader {
                     return Ok(());
                 };
                 *messages += 1;
-                self.summary.see(header.log_time);
+                self.summary.count_message(header.log_time);
                 self.summary.disordered += u64::from(header.log_time < self.latest_ns);
                 self.latest_ns = self.latest_ns.max(header.log_time);
                 let (sequence, log_ns, publish_ns) = (header.sequence, header.log_time, header.publish_time);
@@ -517,7 +517,7 @@ impl FileReader {
     }
 }
 
-/// The records of a chunk, which are in it as they are if it is not compressed. Memory grows with what is there, not with what the chunk says, and to 1 GiB at most.
+/// The records of a chunk, decompressed. Memory grows with the data, not with the length that the chunk states, to 1 GiB + 1 MiB at most.
 fn unpack<'b>(header: &ChunkHeader, data: &'b [u8]) -> Result<Cow<'b, [u8]>, String> {
     if header.uncompressed_size > MOST_BYTES as u64 + (1 << 20) {
         return Err(format!(

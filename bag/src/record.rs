@@ -3,20 +3,20 @@
 
 use mcap::records::{Record, op};
 
-/// What has its length in front of it, in four bytes.
+/// A part of a record that has its length in front of it, in four bytes.
 #[derive(Clone, Copy)]
 enum Part {
     Bytes,
-    /// Keys and values, each with its length. Whoever parses them reads on behind them, if a value is missing.
+    /// Keys and values, each with its length. The MCAP library would read beyond them if a value is missing.
     Texts,
     /// Bytes whose length has eight bytes.
     Long,
-    /// Channels and what is of each, two bytes and eight.
+    /// Two bytes of a channel's id and eight bytes of its number, repeated.
     Numbers,
 }
 use Part::{Bytes, Long, Numbers, Texts};
 
-/// The parts of a record with a length of their own, each with how many bytes are before it. `None`: nobody here reads it.
+/// The parts of a record with a length of their own, each with the number of bytes before it. `None`: the kind is not read here.
 fn parts(kind: u8) -> Option<&'static [(usize, Part)]> {
     Some(match kind {
         op::FOOTER | op::MESSAGE | op::DATA_END => &[],
@@ -34,7 +34,7 @@ fn parts(kind: u8) -> Option<&'static [(usize, Part)]> {
     })
 }
 
-/// What a record says; `None`: nothing that is asked.
+/// Checks the lengths in a record and parses it. `None`: the kind is not read here.
 pub fn parse(kind: u8, body: &[u8]) -> Result<Option<Record<'_>>, String> {
     let Some(parts) = parts(kind) else { return Ok(None) };
     let mut rest = body;
@@ -59,7 +59,7 @@ pub fn parse(kind: u8, body: &[u8]) -> Result<Option<Record<'_>>, String> {
     mcap::parse_record(kind, body).map(Some).map_err(|error| error.to_string())
 }
 
-/// What a length is in front of, and what is behind that.
+/// The bytes whose length is in front of them, and the bytes behind them.
 fn split(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let (length, rest) = bytes.split_first_chunk()?;
     rest.split_at_checked(u32::from_le_bytes(*length) as usize)
@@ -70,7 +70,7 @@ fn split_long(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     rest.split_at_checked(u64::from_le_bytes(*length).try_into().ok()?)
 }
 
-/// Kind and body of each complete record; then the remaining bytes.
+/// Iterates over the complete records, as kind and body. The remaining bytes are left in the field.
 pub struct Records<'b>(pub &'b [u8]);
 
 impl<'b> Iterator for Records<'b> {

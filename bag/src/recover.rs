@@ -36,7 +36,7 @@ pub struct Recovered {
 /// unchanged.
 pub fn recover(path: &Path, tell: &mut dyn FnMut(&Path)) -> Result<Vec<Recovered>, BagError> {
     let files = files_of(path)?;
-    // All of them, before the first is changed.
+    // All files are locked before the first one is changed.
     let _locks = files.iter().map(|file| lock(file)).collect::<Result<Vec<_>, _>>()?;
     let one = |file: &PathBuf| {
         tell(file);
@@ -48,7 +48,7 @@ pub fn recover(path: &Path, tell: &mut dyn FnMut(&Path)) -> Result<Vec<Recovered
         let custom_data = match custom_data_of(path) {
             Ok(custom_data) => custom_data,
             Err(BagError::Read { source, .. }) if source.kind() == ErrorKind::NotFound => BTreeMap::new(),
-            // What is in it may be read by other means.
+            // Other tools may be able to read it.
             Err(_) => keep_original(&path.join("metadata.yaml")).map(|_| BTreeMap::new())?,
         };
         write_metadata(path, &Description::mcap(&custom_data), &summaries)?;
@@ -56,8 +56,8 @@ pub fn recover(path: &Path, tell: &mut dyn FnMut(&Path)) -> Result<Vec<Recovered
     Ok(files)
 }
 
-/// Whether another process has the file open for writing, as far as the kernel tells this user. This user's files and, for root, all
-/// files on local file systems are told.
+/// Whether another process has the file open for writing, as far as the kernel tells this user: for the user's own files and, for root,
+/// for all files on local file systems.
 ///
 /// # Errors
 /// The file cannot be opened.
@@ -66,7 +66,7 @@ pub fn is_being_written(path: &Path) -> Result<bool, BagError> {
     Ok(is_locked(file.try_lock_shared()) || has_writer(&file))
 }
 
-/// The lock that a recorder and `recover` hold on a file.
+/// Takes the lock that a recorder and `recover` hold on a file.
 fn lock(path: &Path) -> Result<File, BagError> {
     let file = File::open(path).map_err(BagError::read(path))?;
     match is_locked(file.try_lock()) || has_writer(&file) {
@@ -75,7 +75,7 @@ fn lock(path: &Path) -> Result<File, BagError> {
     }
 }
 
-/// File systems without locks have none.
+/// On file systems without locks, no file is locked.
 fn is_locked(locked: Result<(), TryLockError>) -> bool {
     matches!(locked, Err(TryLockError::WouldBlock))
 }
@@ -83,7 +83,7 @@ fn is_locked(locked: Result<(), TryLockError>) -> bool {
 /// Whether any process, of any program, has the file open for writing: then the kernel grants no read lease.
 #[expect(unsafe_code, reason = "rustix has no leases")]
 fn has_writer(file: &File) -> bool {
-    /// Which signal tells of somebody who wants to write; of <linux/fcntl.h>.
+    /// Selects the signal that reports that a process wants to write; from <linux/fcntl.h>.
     const F_SETSIG: libc::c_int = 10;
     let fd = file.as_raw_fd();
     // SAFETY: the descriptor is open; the calls have integers for arguments. A process that opens the file for writing while the lease is
@@ -107,12 +107,12 @@ fn recover_file(path: &Path) -> Result<Recovered, BagError> {
         return Ok(Recovered { summary, damage, damages, before: None });
     }
     let unfinished = path.with_extension("mcap.recovering");
-    // Of a recovery that was killed.
+    // Removes what a killed recovery left.
     let _ = fs::remove_file(&unfinished);
     let written = rewrite(path, &unfinished, &summary).and_then(|summary| {
         let before = keep_original(path)?;
         fs::rename(&unfinished, path).map_err(|error| {
-            // If it was moved, it goes back.
+            // If the original was moved, it is moved back.
             let _ = rename_to_new(&before, path);
             BagError::write(path)(error)
         })?;
@@ -130,7 +130,7 @@ fn recover_file(path: &Path) -> Result<Recovered, BagError> {
     }
 }
 
-/// The original file has another name, too, which nothing had. Whenever this process is killed, it is there.
+/// Gives the original file a second name, which nothing had. Whenever this process is killed, the file is there.
 fn keep_original(path: &Path) -> Result<PathBuf, BagError> {
     for number in 0_u32.. {
         let mut before = path.as_os_str().to_owned();
@@ -153,7 +153,7 @@ fn keep_original(path: &Path) -> Result<PathBuf, BagError> {
 fn rewrite(path: &Path, to: &Path, summary: &FileSummary) -> Result<FileSummary, BagError> {
     let mut out =
         Open::create(to, Options { compression: summary.compression, ..Options::default() }, Arc::default())?;
-    // By the addresses of the topics: each topic comes before its messages.
+    // The ids of topics by their addresses: each topic comes before its messages.
     let (mut ids, mut topics) = (HashMap::<usize, TopicId>::new(), Vec::<Topic>::new());
     FileReader::open(path)?.read(&mut |event| match event {
         Event::Topic(topic) => {

@@ -7,16 +7,16 @@ use std::fs::File;
 use std::io::{self, BufReader, Read, Write};
 use std::path::Path;
 
-/// What a robot records does not become so many times shorter; what was made to fill a disk does.
+/// The maximum ratio of compression. Recordings do not reach it; data that were made to fill a disk do.
 const MOST_RATIO: u64 = 1000;
-/// Beneath this nothing is refused.
+/// Below this number of bytes, nothing is refused.
 const HARMLESS: u64 = 256 << 20;
-/// So much of the disk is left to others.
+/// The space on the disk that is left to others.
 const RESERVE: u64 = 64 << 20;
-/// How often is looked how much room there is.
+/// The number of bytes between two checks of the free space.
 const STEP: usize = 1 << 20;
 
-/// How many bytes are let out of how many.
+/// Limits how many bytes are decompressed, by the number of compressed ones.
 #[derive(Default)]
 pub struct Allowance {
     packed: u64,
@@ -25,7 +25,7 @@ pub struct Allowance {
 
 impl Allowance {
     /// # Errors
-    /// That is too many.
+    /// They are too many.
     fn take(&mut self, path: &Path, unpacked: u64) -> Result<(), BagError> {
         self.unpacked += unpacked;
         if self.unpacked <= HARMLESS.max(self.packed.saturating_mul(MOST_RATIO)) {
@@ -38,7 +38,7 @@ impl Allowance {
         Err(BagError::NoBag { path: path.to_owned(), reason })
     }
 
-    /// A message of a bag; `unpacked` is what it is written to.
+    /// Decompresses a message of a bag into `unpacked`.
     ///
     /// # Errors
     /// It is not what zstd wrote, or too long.
@@ -58,7 +58,7 @@ impl Allowance {
     }
 }
 
-/// Writes what is in the file `from` to the new file `to`; `go_on` is asked from time to time.
+/// Decompresses the file `from` into the new file `to`; `go_on` is called from time to time, and stops it with `false`.
 ///
 /// # Errors
 /// It cannot be read or written, is not what zstd wrote, or too long for the disk.
@@ -96,7 +96,7 @@ pub fn unpack_file(from: &Path, to: &Path, go_on: &mut dyn FnMut() -> bool) -> R
     }
 }
 
-/// There is room for so much more where `path` is, and for others.
+/// Checks that the disk of `path` has room for this number of bytes, and for others.
 ///
 /// # Errors
 /// [`BagError::NoRoom`].
@@ -104,7 +104,7 @@ pub fn room(path: &Path, bytes: u64) -> Result<(), BagError> {
     let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let disk = statvfs(folder).map_err(|error| BagError::write(path)(error.into()))?;
     let free = disk.f_bavail.saturating_mul(disk.f_frsize);
-    // File systems that do not know say that they have none at all.
+    // File systems that do not know their size report no blocks at all.
     if disk.f_blocks > 0 && free < bytes + RESERVE {
         return Err(BagError::NoRoom { path: folder.to_owned(), bytes });
     }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Writing a bag: chunks of a file, files of a folder.
+//! Writes a bag: chunks of a file, files of a folder.
 
 use crate::claim::{Claim, Claimed, Position, create};
 use crate::metadata::{Description, write_metadata};
@@ -14,26 +14,26 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// For what is on its way to the disk: a chunk and a long message, twice.
+/// The memory for data on their way to the disk: a chunk and a long message, twice.
 const MEMORY_BYTES: usize = 32 << 20;
 /// A chunk is written when it has this many bytes, if it is not [flushed](Writer::flush) before.
 const CHUNK_BYTES: u64 = 4 << 20;
 
-/// What a record takes besides its content: see <https://mcap.dev/spec>.
+/// The number of bytes that a record takes besides its content: see <https://mcap.dev/spec>.
 const OF_MESSAGE: u64 = 31 + 16;
 const OF_TOPIC: u64 = 256;
 const OF_CHUNK: u64 = 512;
 const OF_CHUNK_AND_TOPIC: u64 = 32;
 const OF_FILE: u64 = 8 << 10;
 
-/// The records that say how a file came to be, and what was lost.
+/// The metadata records about the recording: its session, and what was lost.
 const SESSION: &str = "tautline:session";
 const RECORDING: &str = "tautline:recording";
 
 /// The options of a [`Writer`].
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Options {
-    /// Of its chunks.
+    /// The compression of the chunks.
     pub compression: Compression,
     /// A new file begins when the previous one has this number of bytes.
     pub split_bytes: Option<u64>,
@@ -56,10 +56,10 @@ pub struct Writer {
     folder: PathBuf,
     name: String,
     options: Options,
-    /// What each file says of the recording.
+    /// The metadata of the recording, which are in each file.
     session: BTreeMap<String, String>,
     topics: Vec<Topic>,
-    /// For metadata.yaml.
+    /// The custom data for `metadata.yaml`.
     custom_data: BTreeMap<String, String>,
     file: Option<Open>,
     number: u32,
@@ -81,15 +81,15 @@ pub struct Finished {
 pub(crate) struct Open {
     writer: mcap::Writer<Claimed>,
     claim: Claim,
-    /// Where the file ends, and the last chunk that is whole.
+    /// The end of the file, and that of the last complete chunk.
     end: Position,
     flushed: u64,
     summary: FileSummary,
-    /// Of each topic, the file's number of its channel, and its messages.
+    /// For each topic: the number of its channel in the file, and the number of its messages.
     channels: Vec<(u16, u64)>,
-    /// Bytes of the chunk, at most.
+    /// The maximum length of the current chunk.
     pending: u64,
-    /// Bytes of what ends the file.
+    /// The number of bytes that complete the file.
     ending: u64,
 }
 
@@ -114,7 +114,7 @@ impl Writer {
         Self::create_in(folder, &name, options, session, BTreeMap::new())
     }
 
-    /// A bag in a folder that is there, in files with this name.
+    /// Creates a bag in an existing folder, in files with this name.
     pub(crate) fn create_in(
         folder: &Path,
         name: &str,
@@ -136,7 +136,7 @@ impl Writer {
             removed: 0,
             is_behind,
         };
-        // What cannot be written is known before there are messages.
+        // Errors of creating a file come before the first message.
         writer.current()?;
         Ok(writer)
     }
@@ -189,7 +189,7 @@ impl Writer {
     /// Writes a message, with its four bytes of encapsulation in front.
     ///
     /// # Errors
-    /// [`BagError::Full`]: it is not written, and the bag can be [finished](Self::finish). Others: what was flushed is safe.
+    /// [`BagError::Full`]: it is not written, and the bag can be [finished](Self::finish). Others: flushed messages are safe.
     pub fn write(&mut self, topic: TopicId, stamp: Stamp, cdr: &[u8]) -> Result<(), BagError> {
         if cdr.len() > MOST_BYTES {
             let reason = format!("a message of {} bytes is longer than {MOST_BYTES}", cdr.len());
@@ -211,7 +211,7 @@ impl Writer {
         file.claim.wait()
     }
 
-    /// Bytes of all files that are there, without what is not flushed.
+    /// The number of bytes of all existing files, without what is not flushed.
     pub fn bytes(&self) -> u64 {
         let done: u64 = self.done.iter().map(|file| file.bytes).sum();
         done + self.file.as_ref().map_or(0, |file| file.flushed)
@@ -230,7 +230,7 @@ impl Writer {
         Ok(Finished { files: self.done, removed: self.removed })
     }
 
-    /// The next file, with all topics.
+    /// Begins the next file, with all topics.
     fn opened(&self) -> Result<Open, BagError> {
         let path = self.folder.join(format!("{}_{}.mcap", self.name, self.number));
         let mut file = Open::create(&path, self.options, self.is_behind.clone())?;
@@ -240,7 +240,7 @@ impl Writer {
             file.hand_over()
         };
         begin(&mut file).inspect_err(|_| {
-            // Nothing is lost with it, and without its end the bag would look damaged.
+            // The file has no messages, and without its end the bag would look damaged.
             let _ = fs::remove_file(&path);
         })?;
         Ok(file)
@@ -251,15 +251,15 @@ impl Writer {
         let Some(file) = self.file.take() else { return Ok(()) };
         self.done.push(file.finish(&self.topics)?);
         self.number += 1;
-        // The one that is begun is one of them.
+        // The file that is begun next counts, too.
         let keep = self.options.keep_files.map_or(usize::MAX, |keep| keep.get() as usize - 1);
         let oldest: Vec<_> = self.done.drain(..self.done.len().saturating_sub(keep)).collect();
-        // Before they go, so that it never names what is not there.
+        // Written before the files are removed, so that it never names a file that does not exist.
         self.describe()?;
         for FileSummary { path, .. } in oldest {
             match fs::remove_file(&path) {
                 Ok(()) => self.removed += 1,
-                // Somebody moved it away.
+                // Another program has moved it away.
                 Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
                 Err(error) => return Err(BagError::write(&path)(error)),
             }
@@ -267,7 +267,7 @@ impl Writer {
         Ok(())
     }
 
-    /// What other programs look at first.
+    /// Writes `metadata.yaml`, which other programs read first.
     fn describe(&self) -> Result<(), BagError> {
         write_metadata(&self.folder, &Description::mcap(&self.custom_data), &self.done)
     }
@@ -282,7 +282,7 @@ impl Open {
         let Options { compression, memory_bytes, .. } = options;
         let new = create(path, memory_bytes.unwrap_or(MEMORY_BYTES) / 2, is_behind)?;
         Self::begin(path, compression, new).inspect_err(|_| {
-            // Nothing is in it.
+            // The file has no messages.
             let _ = fs::remove_file(path);
         })
     }
@@ -309,7 +309,7 @@ impl Open {
         Ok(Open { writer, claim, end, flushed, summary, channels, pending: 0, ending: OF_FILE })
     }
 
-    /// Whether the next message, which came at `log_ns`, belongs to another file.
+    /// Whether the next message, which was received at `log_ns`, belongs to another file.
     fn is_over(&self, options: &Options, log_ns: u64) -> bool {
         let FileSummary { messages, start_ns, .. } = self.summary;
         let bytes = self.flushed + self.pending;
@@ -318,17 +318,17 @@ impl Open {
                 || options.split_ns.is_some_and(|most| log_ns.saturating_sub(start_ns) >= most))
     }
 
-    /// What is to be written, and what it takes to end the file then, has its space.
+    /// Reserves space for `bytes` that are to be written, and for the end of the file, which grows by `ending`.
     fn claim(&mut self, bytes: u64, ending: u64) -> Result<(), BagError> {
         let (pending, ending) = (self.pending + bytes, self.ending + ending);
         let chunk = OF_CHUNK + OF_CHUNK_AND_TOPIC * self.channels.len() as u64;
-        // What cannot be compressed gets a little longer.
+        // Data that cannot be compressed become a little longer.
         self.claim.up_to(self.flushed + pending + pending / 64 + ending + 2 * chunk)?;
         (self.pending, self.ending) = (pending, ending);
         Ok(())
     }
 
-    /// What the recorder states. If there is no room for it, the bag is complete without it: the recorder prints it, too.
+    /// Writes what the recorder states. If there is no room for it, the bag is complete without it: the recorder prints it, too.
     fn state(&mut self, name: &str, metadata: BTreeMap<String, String>) -> Result<(), BagError> {
         if metadata.is_empty() {
             return Ok(());
@@ -379,7 +379,7 @@ impl Open {
         let header = MessageHeader { channel_id: *channel_id, sequence, log_time, publish_time };
         self.writer.write_to_known_channel(&header, cdr).map_err(BagError::mcap(&self.summary.path))?;
         *messages += 1;
-        self.summary.see(log_time);
+        self.summary.count_message(log_time);
         if self.pending >= CHUNK_BYTES { self.hand_over() } else { Ok(()) }
     }
 

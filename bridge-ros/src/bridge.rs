@@ -165,7 +165,7 @@ impl Drop for Bridge {
     }
 }
 
-/// All bridges' node names have this prefix, which identifies leftovers of a killed bridge in ROS.
+/// The name of this bridge's node. All bridges' node names have a common prefix, which identifies leftovers of a killed bridge in ROS.
 fn node_name(domain: u32) -> String {
     format!("{BRIDGE_PREFIX}{domain}_{}", std::process::id())
 }

@@ -95,7 +95,7 @@ fn config(mut root: Section<'_>) -> Config {
     Config { domain, ros_domain, rules: Rules { rules, auto, filter }, services, transit }
 }
 
-/// The tables `[[name]]`. A rule is `None` if its name is missing.
+/// Reads the tables `[[name]]`. A rule is `None` if its name is missing.
 fn read_rules<'t>(
     root: &mut Section<'t>,
     name: &'static str,
@@ -132,7 +132,7 @@ fn service(section: &mut Section<'_>) -> Option<Rule> {
     Some(Rule { type_name: type_name(section, is_service_type, what), ..rule? })
 }
 
-/// One rule for the services and topics of an action.
+/// Reads one rule for the services and topics of an action.
 fn action(section: &mut Section<'_>) -> Option<Rule> {
     let Rule { topic, far_topic, direction, .. } = names(section, "action", "ros_action")?;
     let parts = |action: Pattern| match action.exact() {
@@ -143,7 +143,7 @@ fn action(section: &mut Section<'_>) -> Option<Rule> {
     Some(Rule { far_topic, direction, is_of_actions: true, ..Rule::new(parts(topic)?) })
 }
 
-/// The common keys of all entries: names and a direction.
+/// Reads the common keys of all entries: names and a direction.
 fn names(section: &mut Section<'_>, key: &'static str, ros_key: &'static str) -> Option<Rule> {
     if !section.has(key) {
         let example = format!("add {key} = \"/name\" or a pattern such as \"/camera/**\"");

@@ -146,7 +146,7 @@ impl Loop {
         self.routes.push((key, route));
     }
 
-    /// Messages that have arrived are still forwarded or dropped.
+    /// Ends a route. Messages that have arrived are still forwarded or dropped.
     fn end(&mut self, key: &InKey) -> Option<IngressRoute> {
         let at = self.routes.iter().position(|(other, _)| other == key)?;
         let (_, mut route) = self.routes.swap_remove(at);
@@ -162,7 +162,7 @@ impl Loop {
 }
 
 impl IngressRoute {
-    /// In the order in which messages are taken.
+    /// The route's subscriptions, in the order in which messages are taken.
     fn subscriptions(&self) -> impl Iterator<Item = &RosSubscription> {
         self.previous.iter().map(|(subscription, _)| subscription).chain([&self.subscription])
     }
@@ -211,7 +211,7 @@ impl IngressRoute {
             return;
         }
         if info.sequence_number.is_none() {
-            // Most of them belong to publishers that have ended.
+            // Most entries belong to publishers that have ended.
             if self.last.len() >= MOST_PUBLISHERS {
                 self.last.clear();
             }
@@ -235,7 +235,7 @@ impl IngressRoute {
 
     /// Ends expired waits.
     fn drop_expired(&mut self) {
-        // Not before the queue was empty.
+        // Only when the queue was empty.
         if !self.has_more {
             self.previous.retain(|(_, until)| Instant::now() < *until);
         }

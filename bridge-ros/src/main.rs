@@ -31,7 +31,7 @@ fn main() -> ExitCode {
         .with_writer(std::io::stderr)
         .with_ansi(colours)
         .without_time()
-        // It would say with a panic that standard error is closed or full, and so end a thread of the bridge.
+        // Otherwise the layer panics when standard error is closed or full, and so ends a thread of the bridge.
         .log_internal_errors(false)
         .init();
     match run(&args) {
@@ -58,7 +58,7 @@ fn run(args: &Args) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// `None`: a signal ended the wait for another bridge.
+/// Starts the bridge. `None`: a signal ended the wait for another bridge.
 fn start(args: &Args, options: Options, stop: &AtomicBool) -> Result<Option<Bridge>, Box<dyn Error>> {
     if !args.standby {
         return Ok(Some(Bridge::spawn(options)?));

@@ -39,7 +39,7 @@ impl Egress for Ros {
     type Topic = Outbound;
     type Sender = Writer;
 
-    // Until a publisher in ROS has matched its subscriptions.
+    // Samples are held until a publisher in ROS has matched its subscriptions.
     const EARLY: EarlyLimits = EarlyLimits { samples: 1000, bytes: 64 << 20, time: Duration::from_secs(3) };
 
     fn pass(&mut self, topic: &mut Outbound, writer: &mut Writer, sample: OutboundSample) {

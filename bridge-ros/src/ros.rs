@@ -39,7 +39,7 @@ pub(crate) struct RosSide {
     endpoint_count: usize,
     tables: Tables,
     own_table: OwnTable,
-    /// The ROS domain's name for people.
+    /// The ROS domain's name for users.
     place: String,
     shown: ShownNodes,
 }
@@ -55,7 +55,7 @@ impl FarWriter for ProxyPublisher {
         self.writer.publisher.subscription_count() > 0
     }
 
-    /// Not while the relay's thread may still publish through it.
+    /// False while the relay's thread may still publish through it.
     fn is_settled(&self) -> bool {
         Arc::strong_count(&self.writer.publisher) == 1 && self.writer.publisher.are_all_acknowledged()
     }
@@ -296,7 +296,7 @@ impl FarSide for RosSide {
     }
 }
 
-/// ROS raises an event for each QoS-incompatible endpoint: stores it and logs it.
+/// Stores and logs the event that ROS raises for each QoS-incompatible endpoint.
 fn look_for_incompatible(writers: &mut Writers<ProxyPublisher>) {
     for (key, proxy) in writers.iter_mut() {
         let Some((count, policy)) = proxy.writer.publisher.incompatible() else { continue };

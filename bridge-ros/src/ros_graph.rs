@@ -31,7 +31,7 @@ pub(crate) struct RosGraph {
 }
 
 impl RosGraph {
-    /// Reads the graph. `place` is the ROS domain's name for people.
+    /// Reads the graph. `place` is the ROS domain's name for users.
     pub(crate) fn read(&mut self, node: &Node, place: &str, tables: &Tables) -> Result<(), RclError> {
         let (mut endpoints, mut publishers) = (Vec::new(), HashMap::<String, BTreeSet<Gid>>::new());
         let before = std::mem::take(&mut self.unknown);
@@ -109,7 +109,7 @@ impl RosGraph {
             }
             let count = count.entry(node).or_default();
             *count += 1;
-            // Without an endpoint its process is unknown, and another bridge announces it as a different node.
+            // Without an endpoint the node's process is unknown, and another bridge announces it as a different node.
             let of = self
                 .processes
                 .get(node)

@@ -108,7 +108,7 @@ pub struct Stats {
     pub services: Vec<ServiceStats>,
 }
 
-/// What a running bridge shows.
+/// The state that a running bridge publishes to its callers.
 pub(crate) struct BridgeState {
     pub(crate) stop: AtomicBool,
     /// [`Stats::returned`].

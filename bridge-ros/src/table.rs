@@ -17,7 +17,7 @@ use tautline_transport::{Gid, Qos, RemoteGraph};
 /// node's. Also the time-out for another bridge's announcement of what its endpoint mirrors.
 pub(crate) const NAME_TIME: Duration = Duration::from_secs(7);
 
-/// The underscore hides it from ROS's tools.
+/// The topic of the tables. The underscore hides it from ROS's tools.
 pub(crate) const TOPIC: &str = "/_tautline/ends";
 const TYPE: &str = "std_msgs/msg/String";
 /// Longer tables are refused.
@@ -55,7 +55,7 @@ impl Tables {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes what has arrived, at most one turn: the rest wakes the wait again.
+    /// Takes the tables that have arrived, at most one turn: the rest wakes the wait again.
     pub(crate) fn take(
         &self,
         from: &mut RosSubscription,
@@ -137,7 +137,7 @@ impl OwnTable {
     /// Publishes the table if it changed.
     ///
     /// # Errors
-    /// Why that failed; an oversized table is reported once.
+    /// The reason of the failure; an oversized table is reported once.
     pub(crate) fn publish(&mut self, table: OriginTable) -> Result<(), String> {
         if self.said.as_ref() == Some(&table) {
             return Ok(());

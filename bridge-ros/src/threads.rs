@@ -24,7 +24,7 @@ impl Priorities {
         }
     }
 
-    /// One of the bridge's own threads.
+    /// Builds one of the bridge's own threads.
     pub(crate) fn thread(&self, name: &str) -> ThreadBuilder {
         // Calls into the RMW need a deep stack.
         let thread = ThreadBuilder::new(name).realtime(self.realtime).stack_bytes(2 << 20);

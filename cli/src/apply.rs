@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut apply`: the text that a system file has now, for the processes that run with it.
+//! `taut apply`: makes running processes adopt the present text of their system file.
 
 use crate::check::read_file;
 use crate::table::{GOOD, wrap};

@@ -31,7 +31,7 @@ pub fn type_and_values<'a>(arguments: &'a [String], kind: &str) -> (Option<Strin
     }
 }
 
-/// A message of values in YAML or JSON. Headers that are `auto` and times that are `now` have the time of the last [`stamp`](Self::stamp).
+/// A message from values in YAML or JSON. Headers that are `auto` and times that are `now` get the time of the last [`stamp`](Self::stamp).
 pub struct WrittenMessage {
     pub message: DynamicMessage,
     stamps: Vec<String>,
@@ -46,7 +46,7 @@ impl WrittenMessage {
         Ok(written)
     }
 
-    /// Has `header.stamp` or `stamp` stamped, too.
+    /// Makes [`stamp`](Self::stamp) set `header.stamp` or `stamp`, too.
     pub fn add_stamp(&mut self) -> Outcome {
         let is_time = |path: &&str| self.message.get(&format!("{path}.nanosec")).is_ok();
         let Some(path) = ["header.stamp", "stamp"].into_iter().find(is_time) else {

@@ -93,7 +93,7 @@ async fn exchange<T: Service>(client: Client<T>, is_known: bool, request: T::Req
     client.request(&request)?.await
 }
 
-/// If the service is an action's `send_goal`: the name and type of the action. Each action has exactly one.
+/// The name and type of the action whose `send_goal` this service is; `None` for other services. Each action has exactly one `send_goal`.
 pub fn action_of<'a>(service: &'a str, type_name: &'a str) -> Option<(&'a str, &'a str)> {
     service.strip_suffix("/_action/send_goal").zip(type_name.strip_suffix("_SendGoal"))
 }
@@ -138,7 +138,7 @@ pub fn nodes_serving(domain: u32, service: &str) -> Outcome<Vec<String>> {
     Ok(nodes.into_iter().map(str::to_owned).collect())
 }
 
-/// The full name of a node that serves `<node>/<service>`. For a node without it, the error says that the node `what`.
+/// The full name of a node that serves `<node>/<service>`. For a node without this service, the error says `what` of the node.
 pub fn node_serving(domain: u32, node: &str, service: &str, what: &str) -> Outcome<String> {
     let (graph, node) = (graph_of(domain)?, full_name(node));
     let all: Vec<String> = graph.nodes.iter().map(|node| node.name.full_name()).collect();

@@ -20,7 +20,7 @@ use tautline_msgs::Service;
 
 const CONTAINER: Sibling = Sibling {
     program: "taut-container",
-    // Not by `cargo install`, which leaves out the library that it shares with components.
+    // `cargo install` does not work: it leaves out the library that the container shares with components.
     build: "build it together with your components, as docs/composition.md says: \
             `cargo build --release -p taut -p tautline-container -p YOUR_COMPONENTS`",
 };

@@ -53,7 +53,7 @@ pub fn run(args: &InitArgs) -> Outcome<ExitCode> {
     }
     if let (None, false) = (&args.from_trace, args.from_running) {
         write(&args.file, TEMPLATE)?;
-        say(args, None, &format!("Wrote {path}. Change it to your system, then run: taut check {path}"))?;
+        print(args, None, &format!("Wrote {path}. Change it to your system, then run: taut check {path}"))?;
         return Ok(ExitCode::SUCCESS);
     }
     let refuse = |error: trace::TraceError| Failure::unusable(error.to_string());
@@ -78,15 +78,15 @@ pub fn run(args: &InitArgs) -> Outcome<ExitCode> {
         String::new()
     };
     let wrote = format!("Wrote {path}: {callbacks} callbacks, {guesses} guesses, marked `guess`{next}");
-    say(args, Some((callbacks, guesses)), &wrote)?;
+    print(args, Some((callbacks, guesses)), &wrote)?;
     match parsed {
         Ok(_) => Ok(ExitCode::SUCCESS),
         Err(problems) => Err(Failure::no(format!("{path} is not complete yet:\n{problems}"))),
     }
 }
 
-/// What was written, for a program or a person. A template's callbacks are not counted: they are examples.
-fn say(args: &InitArgs, counts: Option<(usize, usize)>, words: &str) -> io::Result<()> {
+/// Prints what was written, as JSON or as text. The template's callbacks are not counted, because they are examples.
+fn print(args: &InitArgs, counts: Option<(usize, usize)>, words: &str) -> io::Result<()> {
     let (callbacks, guesses) = counts.unzip();
     let report =
         json!({ "file": args.file.display().to_string(), "callbacks": callbacks, "guesses": guesses });

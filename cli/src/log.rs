@@ -163,7 +163,7 @@ impl<'a> Lines<'a> {
                     self.end.pause(POLL);
                     continue;
                 }
-                // The subscription counts it.
+                // The subscription counts invalid messages.
                 Err(TakeError::Invalid(_)) if self.end.is_reached() => break,
                 Err(TakeError::Invalid(_)) => continue,
                 Err(error) => return Err(error.into()),
@@ -173,7 +173,7 @@ impl<'a> Lines<'a> {
                 self.print(&log)?;
                 printed += 1;
             }
-            // More lines may arrive while these are printed.
+            // Lines may arrive as fast as they are printed, so this loop must also check for the end.
             if self.end.is_reached() {
                 break;
             }

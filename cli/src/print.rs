@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The one place that prints. Names, messages, logs and errors may be other hosts' or a bag's: their control characters are escaped.
-//! Colours are therefore characters of their own until here, which no text has: Unicode's noncharacters.
+//! The only code that prints. Names, messages, logs and errors may come from other hosts or a bag, so their control characters are escaped.
+//! Until this escaping, colours are therefore represented by Unicode's noncharacters, which no text contains.
 
 use std::fmt;
 use std::io::{self, IsTerminal, Write};
@@ -16,7 +16,7 @@ pub enum Colour {
 }
 
 const END: char = '\u{fdd0}';
-/// Moves the cursor to the upper left and clears a terminal's screen; nothing elsewhere.
+/// Moves the cursor to the upper left and clears a terminal's screen; removed from output without colours.
 pub const CLEAR: char = '\u{fdd4}';
 
 const SEQUENCES: [(char, &str); 5] = [
@@ -39,14 +39,14 @@ impl fmt::Display for Colour {
     }
 }
 
-/// The text with terminal's sequences for colours, or without colours.
+/// The text with the terminal's escape sequences for colours, or without colours.
 pub fn painted(text: &str, is_coloured: bool) -> String {
     SEQUENCES.iter().fold(text.to_owned(), |text, (mark, sequence)| {
         text.replace(*mark, if is_coloured { sequence } else { "" })
     })
 }
 
-/// Paints what goes to `to`. It is written in whole characters.
+/// Replaces colours in the text that is written to `to`. Each write must consist of whole characters.
 struct Painted<W: Write> {
     to: W,
     is_coloured: bool,
@@ -89,14 +89,14 @@ pub fn line_to(mut to: impl Write, line: fmt::Arguments<'_>) {
     let _ = to.flush();
 }
 
-/// As the standard library's, through [`stdout`].
+/// The standard library's `println!`, but through [`stdout`].
 #[macro_export]
 macro_rules! println {
     () => { $crate::print::line_to($crate::print::stdout(), format_args!("")) };
     ($($text:tt)*) => { $crate::print::line_to($crate::print::stdout(), format_args!($($text)*)) };
 }
 
-/// As the standard library's, through [`stderr`].
+/// The standard library's `eprintln!`, but through [`stderr`].
 #[macro_export]
 macro_rules! eprintln {
     () => { $crate::print::line_to($crate::print::stderr(), format_args!("")) };

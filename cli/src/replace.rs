@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Files that a verb writes whole or not at all.
+//! Files that a verb writes completely or not at all.
 
 use rustix::fs::OFlags;
 use std::fs::{self, File, Metadata, OpenOptions, Permissions, TryLockError};
@@ -7,20 +7,20 @@ use std::io::{self, Write};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt, fchown};
 use std::path::{Path, PathBuf};
 
-/// A file that gets its name when it is complete; until then an earlier file of this name stays, whose permissions it has then, its group if this user
-/// is in it, and for root its owner. Of several that are written at once the last one stays. What is no regular file, such as a pipe, `/dev/null` or a
-/// symbolic link, keeps its name and is written at once.
+/// A file that replaces the earlier file at its path only when it is complete. It takes over that file's permissions, its group if this
+/// user is a member, and its owner if this user is root. Of several files that are written to a path at once, the last one to finish stays.
+/// A path that is not a regular file, such as a pipe, `/dev/null` or a symbolic link, is opened and written directly.
 pub struct NewFile {
     path: PathBuf,
-    /// Locked until it is complete.
+    /// The temporary file, locked until it is complete; `None` if the path is written directly.
     partial: Option<PathBuf>,
-    /// Of the earlier file.
+    /// The metadata of the earlier file.
     before: Option<Metadata>,
     file: File,
 }
 
 impl NewFile {
-    /// An error at once if the path is unusable.
+    /// Opens the file. An unusable path is an error here, before anything is written.
     pub fn create(path: &Path) -> io::Result<Self> {
         let before = fs::symlink_metadata(path).ok();
         if before.as_ref().is_some_and(|before| !before.is_file()) {
@@ -31,7 +31,7 @@ impl NewFile {
                 file: File::create(path)?,
             });
         }
-        // Until it has the earlier file's permissions nobody else reads it.
+        // No other user may read the file before it has the earlier file's permissions.
         let (partial, file) = create_beside(path, if before.is_some() { 0o600 } else { 0o666 })?;
         Ok(NewFile { path: path.to_owned(), partial: Some(partial), before, file })
     }
@@ -40,15 +40,15 @@ impl NewFile {
         &self.path
     }
 
-    /// Gives it its name.
+    /// Renames the file to its path.
     pub fn finish(&mut self) -> io::Result<()> {
         if let Some(partial) = &self.partial {
             if let Some(before) = &self.before {
-                // Not everyone may give a file to this group, and root alone to another owner; who may not keeps it.
+                // Only a member may set this group, and only root another owner; otherwise the file keeps the user's own.
                 let _ = fchown(&self.file, None, Some(before.gid()));
                 let _ = fchown(&self.file, Some(before.uid()), None);
                 self.file.set_permissions(Permissions::from_mode(before.mode() & 0o777))?;
-                // After a power cut there may be an empty file else, and the earlier one be gone.
+                // Without this, a power cut could leave an empty file in place of the earlier one.
                 self.file.sync_all()?;
             }
             fs::rename(partial, &self.path)?;
@@ -69,7 +69,7 @@ impl Write for NewFile {
 }
 
 impl Drop for NewFile {
-    /// Removes what is not complete.
+    /// Removes the file if it is not complete.
     fn drop(&mut self) {
         if let Some(partial) = &self.partial {
             let _ = fs::remove_file(partial);
@@ -77,7 +77,7 @@ impl Drop for NewFile {
     }
 }
 
-/// A new file beside this one, which is locked. What others have locked stays; what a killed run has left is removed.
+/// Creates and locks a new file beside this one. Files that other processes have locked stay; leftovers of killed runs are removed.
 fn create_beside(path: &Path, mode: u32) -> io::Result<(PathBuf, File)> {
     let mut number = 0;
     loop {
@@ -87,10 +87,10 @@ fn create_beside(path: &Path, mode: u32) -> io::Result<(PathBuf, File)> {
         let is_free = match OpenOptions::new().write(true).create_new(true).mode(mode).open(&partial) {
             Ok(file) => match file.try_lock() {
                 Ok(()) if is_named(&file, &partial) => return Ok((partial, file)),
-                // Another one took it for a leftover before it was locked.
+                // Another process removed the file as a leftover before it was locked.
                 Ok(()) => true,
                 Err(TryLockError::WouldBlock) => false,
-                // Where there are no locks nobody removes it.
+                // On a file system without locks, no process removes the file.
                 Err(TryLockError::Error(_)) => return Ok((partial, file)),
             },
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => remove_leftover(&partial),
@@ -100,7 +100,7 @@ fn create_beside(path: &Path, mode: u32) -> io::Result<(PathBuf, File)> {
     }
 }
 
-/// Says whether the name may be free now: nobody had locked the file.
+/// Removes the file unless another process has locked it. Returns whether its name may be free now.
 fn remove_leftover(partial: &Path) -> bool {
     let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
     let file = match OpenOptions::new().write(true).custom_flags(flags.bits().cast_signed()).open(partial) {
@@ -108,7 +108,7 @@ fn remove_leftover(partial: &Path) -> bool {
         Err(error) => return error.kind() == io::ErrorKind::NotFound,
     };
     let is_leftover = file.metadata().is_ok_and(|found| found.is_file()) && file.try_lock().is_ok();
-    // Its writer may have given it another name just before.
+    // The writer may have renamed the file just before.
     is_leftover && (!is_named(&file, partial) || fs::remove_file(partial).is_ok())
 }
 
@@ -125,7 +125,7 @@ pub fn write(path: &Path, content: impl AsRef<[u8]>) -> io::Result<()> {
     new.finish()
 }
 
-/// Replaces the file that is there, or to which a symbolic link leads.
+/// Replaces the existing file at this path, or the target of a symbolic link.
 pub fn replace(path: &Path, text: &str) -> io::Result<()> {
     write(&fs::canonicalize(path)?, text)
 }

@@ -20,7 +20,7 @@ pub enum SiblingError {
     Exec { program: PathBuf, source: std::io::Error },
 }
 
-/// The program of a package in a folder of this repository, which every package with `taut` has.
+/// A program that is built from a folder of this repository, and that every installable package with `taut` contains.
 macro_rules! packaged {
     ($program:literal, $package:literal, $folder:literal) => {
         Sibling {

@@ -16,7 +16,7 @@ pub const WARNING: Colour = Colour::Yellow;
 /// The width at which text wraps.
 const WIDTH: usize = 100;
 
-/// A table whose first `left` columns are text and whose failed rows are red.
+/// Writes a table whose first `left` columns are text and whose failed rows are red.
 pub fn write_table(
     head: &[&str],
     left: usize,
@@ -26,7 +26,7 @@ pub fn write_table(
     write_spaced_table(2, head, left, rows, out)
 }
 
-/// As [`write_table`], with so many spaces between columns.
+/// As [`write_table`], with `gap` spaces between columns.
 pub fn write_spaced_table(
     gap: u16,
     head: &[&str],

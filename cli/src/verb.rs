@@ -96,12 +96,12 @@ impl Failure {
         Failure { code: 2, text: text.into() }
     }
 
-    /// Interrupted before there was an answer.
+    /// The failure of a verb that was interrupted before there was an answer.
     pub fn interrupted() -> Self {
         Failure::no("")
     }
 
-    /// None of the names in `there`, which `taut LIST` prints, is that of the `what` that is wanted.
+    /// The failure if no `what` is called `name`; suggests the nearest of the names `there`, which `taut LIST` prints.
     pub fn unknown<'n>(what: &str, name: &str, there: impl Iterator<Item = &'n str>, list: &str) -> Self {
         let likeness = |other: &str| strsim::jaro_winkler(name, other);
         let nearest =
@@ -144,7 +144,7 @@ impl<E: Error + 'static> From<E> for Failure {
 pub struct End {
     interrupted: Arc<AtomicBool>,
     timeout: Option<Duration>,
-    /// The time limit does not restart.
+    /// Whether the time limit does not restart.
     is_firm: bool,
     start: Instant,
     is_wait_printed: Cell<bool>,
@@ -166,7 +166,7 @@ const POLL: Duration = Duration::from_millis(20);
 const PATIENCE: Duration = Duration::from_secs(1);
 
 impl End {
-    /// From now on signals end only this, not the process.
+    /// The end by `--timeout` or a signal. From now on, signals reach this end instead of killing the process.
     pub fn of(common: &CommonArgs) -> Outcome<Self> {
         Self::after(common.timeout).map_err(no_signals)
     }
@@ -207,7 +207,7 @@ impl End {
         self.interrupted.load(Ordering::Relaxed) || self.left().is_some_and(|left| left.is_zero())
     }
 
-    /// Whether it is reached, or is a moment later.
+    /// Waits 100 ms or until the end, and returns whether the end is reached.
     pub fn is_reached_soon(&self) -> bool {
         self.pause(5 * POLL);
         self.is_reached()

@@ -10,7 +10,7 @@ use tautline_rt::{CoreMark, CoreTime, RtError, ThreadInfo};
 
 use crate::stats::{CallbackStats, Moment, MomentKind};
 
-/// What is taken from the core of a callback while its jobs run.
+/// Accounts for the time taken from a callback's core while its jobs run.
 pub(crate) struct CoreTimeAccount {
     clock: CoreTime,
     /// Shorter times are not recorded.
@@ -19,9 +19,9 @@ pub(crate) struct CoreTimeAccount {
     begun: Cell<Option<CoreMark>>,
     /// Jobs that have started and not ended.
     running: Cell<u32>,
-    /// When the previous job ended, or the thread started, and the processor time that it had used by then.
+    /// When the previous job ended, or the thread started, and the processor time that the thread had used by then.
     ended: Cell<(u64, u64)>,
-    /// The same of its last [pause](Self::pause), if that was later.
+    /// As `ended`, at the last [pause](Self::pause) or at the end of the previous job, whichever was later.
     paused: Cell<(u64, u64)>,
 }
 
@@ -40,7 +40,7 @@ impl CoreTimeAccount {
         account
     }
 
-    /// The thread waits for its next job.
+    /// Records that the thread waits for its next job from now on.
     pub fn pause(&self) {
         let now = self.clock.mark();
         self.paused.set((now.to_ns, now.used_ns));
@@ -53,8 +53,8 @@ impl CoreTimeAccount {
         }
     }
 
-    /// Records the end of a job; of overlapping jobs, the last. For a job that has slept, the taken time is unknown. `late`: its release
-    /// and its end, if it ended beyond its bound.
+    /// Records the end of a job; of overlapping jobs, only the last end. The time taken from a job that has slept is unknown. `late`: the
+    /// release and the end of a job that ended beyond its bound.
     pub fn end(&self, stats: &CallbackStats, slept: bool, late: Option<(u64, u64)>) {
         self.running.set(self.running.get().saturating_sub(1));
         if self.running.get() > 0 {
@@ -66,7 +66,7 @@ impl CoreTimeAccount {
         let Some(begun) = self.begun.take().filter(|_| !slept) else { return };
         note_taken(stats, &begun, &now, self.least_ns);
         if let (Some((release_ns, to_ns)), Some(preempted_ns)) = (late, begun.waited_until(&now)) {
-            // Before, the thread did something else, and what it has used since was no wait.
+            // The wait starts at the release or at the end of the previous job; processor time that the thread itself used is no wait.
             let from_ns = release_ns.max(ended_ns).min(to_ns);
             let own_ns = used_ns.saturating_sub(before_ns).min(paused_ns.saturating_sub(from_ns));
             let own_ns = own_ns.saturating_add(begun.used_ns.saturating_sub(used_ns));
@@ -129,12 +129,12 @@ pub struct SamplerAccount {
     least_ns: u64,
     stats: Arc<CallbackStats>,
     asleep: Cell<Option<CoreMark>>,
-    /// Since when it is awake, and the processor time from which it is charged.
+    /// The mark since which the sampler is awake, and the processor time from which it is charged.
     awake: Cell<Option<(CoreMark, u64)>>,
 }
 
 impl SamplerAccount {
-    /// To wake a thread takes some time: less is not late.
+    /// A wake-up takes some time: a timer served less than this after its due time is not late.
     const WAKE_NS: u64 = 100_000;
 
     /// Call when the sampler is about to sleep.
@@ -149,7 +149,7 @@ impl SamplerAccount {
             note_wait(&self.stats, &awake, &now, self.least_ns);
             let length_ns = now.used_ns.saturating_sub(used_ns);
             if length_ns >= self.least_ns {
-                // What it took to wake lies just before.
+                // The processor time of the wake-up itself was used just before `awake`.
                 let from_ns = awake.from_ns.saturating_sub(awake.used_ns.saturating_sub(used_ns));
                 self.stats.note(&Moment { kind: MomentKind::Served, from_ns, to_ns: now.to_ns, length_ns });
             }
@@ -167,7 +167,7 @@ impl SamplerAccount {
         if has_slept {
             note_wait(&self.stats, &asleep, &now, self.least_ns);
         }
-        // If a ring came first, it is awake since it was about to sleep.
+        // If a ring prevented the sleep, the sampler has been awake since `asleep`.
         let since = if has_slept { now } else { asleep };
         let mut used_ns = asleep.used_ns;
         if let Some(from_ns) = due_ns
@@ -176,14 +176,14 @@ impl SamplerAccount {
         {
             let to_ns = now.from_ns;
             self.stats.note(&Moment { kind: MomentKind::WokenLate, from_ns, to_ns, length_ns });
-            // What it took to wake is part of that.
+            // The late wake-up includes the processor time of waking.
             used_ns = now.used_ns;
         }
         self.awake.set(Some((since, used_ns)));
     }
 }
 
-/// What was taken from the thread between two marks, if it did not sleep.
+/// Records the time taken from the thread between two marks, if the thread did not sleep.
 fn note_taken(stats: &CallbackStats, begun: &CoreMark, now: &CoreMark, least_ns: u64) {
     if let Some(length_ns) = begun.taken_until(now).filter(|ns| *ns >= least_ns) {
         let (from_ns, to_ns) = (begun.to_ns, now.from_ns);
@@ -191,7 +191,7 @@ fn note_taken(stats: &CallbackStats, begun: &CoreMark, now: &CoreMark, least_ns:
     }
 }
 
-/// What the sampler waited for the core between two marks: at the end of that time, if it slept before.
+/// Records the time that the sampler waited for the core between two marks: at the end of the interval, if it slept first.
 fn note_wait(stats: &CallbackStats, before: &CoreMark, now: &CoreMark, least_ns: u64) {
     if let Some(length_ns) = before.waited_until(now).filter(|ns| *ns >= least_ns) {
         let to_ns = now.from_ns;

@@ -46,7 +46,7 @@ impl CallbackHandle {
 
     /// Whether the future has ended: by itself, because it was stopped, or with a panic.
     pub fn is_finished(&self) -> bool {
-        self.callback.end.has_come()
+        self.callback.end.has_ended()
     }
 
     /// Waits until the future has ended and its thread has exited.
@@ -61,7 +61,7 @@ impl CallbackHandle {
     }
 }
 
-/// What the executor and the handles share.
+/// The state of a callback that the executor and its handles share.
 pub(crate) struct CallbackShared {
     pub stats: Arc<CallbackStats>,
     /// The members of a group.
@@ -73,7 +73,7 @@ pub(crate) struct CallbackShared {
     pub thread: Mutex<Thread>,
 }
 
-/// A thread, until it has been joined; then how it ended.
+/// The thread of a callback; after the join, its panic, if any.
 pub(crate) struct Thread {
     pub running: Option<JoinHandle<()>>,
     pub panic: Option<Panic>,
@@ -109,13 +109,13 @@ impl fmt::Debug for CallbackShared {
 pub(crate) struct Completion(AtomicBool);
 
 impl Completion {
-    pub fn has_come(&self) -> bool {
+    pub fn has_ended(&self) -> bool {
         // Acquire: pairs with the Release in `CompletionGuard`.
         self.0.load(Ordering::Acquire)
     }
 }
 
-/// Held by the thread while its future lives; its drop reports the end, whatever the reason.
+/// Held by the thread while the future exists; its drop reports that the future has ended, for whatever reason.
 pub(crate) struct CompletionGuard {
     pub end: Arc<Completion>,
     /// The statistics of all callbacks of the thread.

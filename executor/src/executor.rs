@@ -31,13 +31,13 @@ use crate::{
     ThreadRegistration,
 };
 
-/// The longest spin before a thread sleeps: the registry, which keeps threads from starving, knows only of busy pollers.
+/// The longest spin before a thread sleeps. The registry, which prevents starvation, considers only busy-polling threads.
 const MAX_SPIN: Duration = Duration::from_millis(1);
 
-/// Makes what a callback thread sleeps on.
+/// Creates the parker on which a callback thread sleeps.
 type MakeParker = Box<dyn Fn() -> Result<Arc<dyn Parker>, Refusal> + Send + Sync>;
 
-/// Why there is none.
+/// Why a parker could not be created.
 type Refusal = Box<dyn std::error::Error + Send + Sync>;
 
 /// Owns the callback threads of a process; dropping it ends them.
@@ -128,7 +128,7 @@ impl Executor {
     /// A future that is not `Send` must be created in its thread: see [`Executor::spawn_local`].
     ///
     /// # Errors
-    /// [`ExecutorError::Thread`] with the fix if a setting is refused, or budgets are to be enforced and a trial shows that nothing does;
+    /// [`ExecutorError::Thread`] with the fix if a setting is refused, or budgets are to be enforced and a trial shows that they are not;
     /// [`ExecutorError::Starved`] and the
     /// `BusyPoll` errors if busy polling would starve other threads. In these cases there is no thread.
     pub fn spawn_callback(
@@ -221,7 +221,7 @@ impl Executor {
         }
     }
 
-    /// `members`: those of a group.
+    /// Starts a callback's thread. `members`: the members of a group; empty for a single callback.
     fn start<M>(
         &self,
         mut options: CallbackOptions,
@@ -259,7 +259,7 @@ impl Executor {
         let (control, end) = (Arc::<TaskControl>::default(), Arc::<Completion>::default());
         let all_stats = members.iter().map(|member| &member.stats).chain([&stats]).cloned().collect();
         let guard = CompletionGuard { end: Arc::clone(&end), stats: all_stats, _registration: registration };
-        // A thread that waits for the next period of its reservation looks like one that something took the core from.
+        // A thread that waits for the next period of its reservation cannot be distinguished from one whose core was taken.
         let reserved = matches!(options.policy, Policy::Deadline { .. });
         let accounts = self.accounts.filter(|_| !options.busy_poll && !reserved).map(clock::nanoseconds);
         let (busy, spin, execution_time, thread_control) =
@@ -280,7 +280,7 @@ impl Executor {
             let trace = tautline_trace::callback_init(thread_stats.name());
             let stopwatch = execution_time.then(|| Stopwatch::new(busy));
             let failed = |error| {
-                // Nothing of the callback has run: it ends before it begins.
+                // The callback is stopped before its first poll.
                 thread_control.stop();
                 *thread_trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
             };
@@ -315,7 +315,7 @@ impl Executor {
             let future = Controlled { future, control: Arc::clone(&thread_control), waiting };
             let spawned = pool.spawner().spawn_local_obj(LocalFutureObj::new(Box::new(future)));
             debug_assert!(spawned.is_ok(), "the pool lives");
-            // A first poll, which does not reach the callback: it makes the pool claim its memory.
+            // This first poll does not reach the callback; it makes the pool allocate its memory.
             pool.run_until_stalled();
             move || {
                 let _guard = guard;
@@ -326,7 +326,7 @@ impl Executor {
         });
         let thread = thread.map_err(refused)?;
         if let Some(source) = trouble.lock().unwrap_or_else(PoisonError::into_inner).take() {
-            // It ends by itself, and what it may say then is this.
+            // The thread ends by itself, and `source` is the error to report.
             let _ = thread.join();
             return Err(refused(source));
         }
@@ -348,7 +348,7 @@ impl Executor {
         Ok(CallbackHandle::new(callback))
     }
 
-    /// What the thread will sleep on, if not as the pool does.
+    /// Returns the parker on which the thread will sleep; `None` if it sleeps in the pool, or busy-polls.
     fn parker(&self, options: &CallbackOptions) -> Result<Option<Arc<dyn Parker>>, ExecutorError> {
         if !options.direct_wake || options.busy_poll {
             return Ok(None);
@@ -361,7 +361,7 @@ impl Executor {
         }
     }
 
-    /// The place the thread will have, as far as it is known before it runs.
+    /// Returns the thread's registry entry, as far as it is known before the thread runs, and the number of online cores.
     fn thread(&self, options: &CallbackOptions) -> Result<(RegisteredThread, usize), RtError> {
         let policy = match self.realtime {
             Realtime::Required => options.policy,
@@ -379,15 +379,15 @@ impl Executor {
         Ok((RegisteredThread { name: options.name.clone(), priority, cores, busy }, online_cores()?.len()))
     }
 
-    /// Remembers a callback and forgets those that have ended well, so that the list does not grow for ever.
+    /// Adds a callback to the list and removes those that ended without a panic, so that the list does not grow for ever.
     fn keep(&self, callback: Arc<CallbackShared>) {
         let mut callbacks = self.callbacks.lock().unwrap_or_else(PoisonError::into_inner);
-        callbacks.retain(|old| !(old.end.has_come() && matches!(old.join(), Ok(None))));
+        callbacks.retain(|old| !(old.end.has_ended() && matches!(old.join(), Ok(None))));
         callbacks.push(callback);
     }
 }
 
-/// Refuses handlers for overruns that nothing would ever call: whether execution times are measured is the thread's.
+/// Refuses overrun handlers that would never be called: whether execution times are measured is a setting of the thread, not of a member.
 fn check_handlers(options: &CallbackOptions, members: &[MemberInfo]) -> Result<(), ExecutorError> {
     if options.execution_time {
         return Ok(());
@@ -405,7 +405,7 @@ fn check_handlers(options: &CallbackOptions, members: &[MemberInfo]) -> Result<(
     }
 }
 
-/// Refuses to hold jobs to budgets where that cannot be done.
+/// Refuses budget enforcement where it is not possible.
 fn check_overruns(options: &CallbackOptions, members: &[MemberInfo]) -> Result<(), ExecutorError> {
     let problem = match options {
         _ if options.overrun_policy == OverrunPolicy::Tell => return Ok(()),

@@ -20,7 +20,7 @@ use crate::stats::{Job, kind};
 use crate::{CallbackOptions, CallbackStats, OverrunPolicy, Policy, StatisticsFile};
 
 thread_local! {
-    /// Its id, in the process in which it was asked for: a forked child's thread has another one.
+    /// The thread's id, and the process in which it was read: in a forked child the thread has another id.
     static TID: Cell<Option<(ProcessMark, u32)>> = const { Cell::new(None) };
     static METER: Meter = const { Meter { read: Cell::new(None), lap_ns: Cell::new(0), is_exact: Cell::new(false) } };
     static ENFORCER: RefCell<Option<BudgetEnforcer>> = const { RefCell::new(None) };
@@ -28,15 +28,15 @@ thread_local! {
     static ACCOUNT: OnceCell<Option<CoreTimeAccount>> = const { OnceCell::new() };
 }
 
-/// For so long after a reading of a thread's processor time, jobs are measured by `CLOCK_MONOTONIC`, which needs no system call: what
-/// wakes a thread for each job takes longer, so that only jobs in a row are measured so.
+/// For this long after a reading of a thread's processor time, jobs are measured by `CLOCK_MONOTONIC`, which needs no system call. A
+/// wake-up takes longer, so only jobs in a row are measured in this way.
 const WINDOW: Duration = Duration::from_micros(5);
 
-/// The first release's distance to the second one does not count: a timer that was due before its executor began to spin is late then, and
-/// with it all that it triggers.
+/// The distance between the first two releases is not recorded: a timer that was due before its executor began to spin is late then, and so
+/// is everything that it triggers.
 const UNEVEN: u64 = 2;
 
-/// What a thread uses for its jobs. A job is measured never too low, and too high by at most [`WINDOW`], if its thread lost the core.
+/// Measures the processor time of a thread's jobs: never too low, and too high by at most [`WINDOW`], if the thread lost the core.
 struct Meter {
     /// The last reading: the processor time, and `CLOCK_MONOTONIC`.
     read: Cell<Option<(u64, u64)>>,
@@ -47,19 +47,19 @@ struct Meter {
 }
 
 impl Meter {
-    /// The processor time at the end of the last job, where it is exact; `None` before the first.
+    /// The processor time at the last reading: the end of the last job, if measurement is exact. `None` before the first reading.
     fn since_ns(&self) -> Option<u64> {
         self.read.get().map(|(used_ns, _)| used_ns)
     }
 
-    /// The first job begins here, if nothing did before.
+    /// Takes the first reading, at the start of the thread's first job.
     fn begin(&self) {
         if self.read.get().is_none() {
             self.lap(monotonic_ns());
         }
     }
 
-    /// What was used since the last job until now.
+    /// Returns the processor time used since the end of the last job.
     fn lap(&self, now_ns: u64) -> u64 {
         let elapsed_ns = now_ns.saturating_sub(self.lap_ns.replace(now_ns));
         let before = self.read.get();
@@ -71,13 +71,13 @@ impl Meter {
         self.read.set(Some((used_ns, now_ns)));
         let Some((before_ns, _)) = before else { return 0 };
         let used_ns = used_ns.saturating_sub(before_ns);
-        // That of the jobs in a row before is in it.
+        // The difference includes the preceding jobs that were measured without a reading.
         if self.is_exact.get() { used_ns } else { used_ns.min(elapsed_ns) }
     }
 }
 
-/// Holds jobs of callbacks with [`OverrunPolicy::Demote`] to their budgets in this thread from now on, if `holds`. `policy` is the thread's,
-/// which it got with [`set_own_priority`](tautline_rt::set_own_priority), and gets back after a demotion.
+/// Enforces the budgets of callbacks with [`OverrunPolicy::Demote`] in this thread from now on, if `holds`. `policy` is the thread's
+/// policy, which was set with [`set_own_priority`](tautline_rt::set_own_priority), and is restored after a demotion.
 ///
 /// # Real-time
 /// Setup only.
@@ -86,7 +86,7 @@ impl Meter {
 /// Those of [`BudgetTimer::new`].
 pub fn hold_to_budgets(policy: Policy, holds: bool) -> Result<(), RtError> {
     ENFORCER.with(|enforcer| {
-        // Before the new one: a thread has at most one timer.
+        // Dropped before the new timer is created: a thread has at most one.
         let former = enforcer.take();
         let holds = holds || former.is_some();
         drop(former);
@@ -124,7 +124,7 @@ pub struct ForeignCallback {
     /// Several threads may run it, but each counter may have only one writer at a time.
     stats: PiMutex<CallbackStats>,
     measures_execution: bool,
-    /// Whether its jobs are held to their budgets.
+    /// Whether the budgets of its jobs are enforced.
     holds: bool,
     /// The shortest time taken from a job that is recorded, if core time is accounted for.
     accounts_ns: Option<u64>,
@@ -144,7 +144,7 @@ impl ForeignCallback {
         Self::of_kind(file, options, kind::CALLBACK)
     }
 
-    /// As [`new`](Self::new) for a callback of which only its publications are seen: [`publish`](Self::publish) is its only job.
+    /// As [`new`](Self::new), for a callback of which only the publications are observed: each [`publish`](Self::publish) counts as a job.
     ///
     /// # Real-time
     /// Setup only.
@@ -161,7 +161,7 @@ impl ForeignCallback {
         stats.place(Some(file), kind)?;
         stats.describe_jobs(options.period, options.execution_time);
         if options.policy.realtime_priority().is_some() {
-            // What its thread is to be: admission counts it from here on. The first job says what it is.
+            // The intended policy and cores, so that admission counts the callback from now on. The first job records the actual thread.
             let cores = options.cores.map_or_else(current_affinity, Ok).map_err(io::Error::other)?;
             stats.set_thread(&ThreadInfo { tid: 0, name: String::new(), policy: options.policy, cores });
         }
@@ -171,7 +171,7 @@ impl ForeignCallback {
         Ok(ForeignCallback { stats, measures_execution, holds, accounts_ns: None, process })
     }
 
-    /// Does for its jobs what [`Executor::account_core_time`](crate::Executor::account_core_time) does, in any thread.
+    /// As [`Executor::account_core_time`](crate::Executor::account_core_time), for the callback's jobs in any thread.
     ///
     /// # Real-time
     /// Setup only.
@@ -214,9 +214,9 @@ impl ForeignCallback {
         }
     }
 
-    /// Ends the job, which began with this release. If its execution time is measured, the job is charged this thread's processor time since
-    /// the end of the previous job, or since [`idle`]; this time is returned. It is never too low, and at most 5 µs too high if the thread lost the core soon after
-    /// a job before; exact where budgets are held or [`used_ns`] was called.
+    /// Ends the job that began with this release. If its execution time is measured, the job is charged this thread's processor time since
+    /// the end of the previous job, or since [`idle`]; this time is returned. It is never too low, and at most 5 µs too high if the thread
+    /// lost the core soon after a job before; exact where budgets are held or [`used_ns`] was called.
     ///
     /// # Real-time
     /// As [`begin`](Self::begin), with at most one syscall where the execution time is measured.
@@ -248,7 +248,7 @@ impl ForeignCallback {
         let _ = ACCOUNT.try_with(|account| account.get_or_init(make).as_ref().map(using));
     }
 
-    /// It published in this thread, at the `CLOCK_MONOTONIC` time `now_ns`.
+    /// Records that the callback published in this thread, at the `CLOCK_MONOTONIC` time `now_ns`.
     ///
     /// # Real-time
     /// As [`begin`](Self::begin) where the execution time is not measured.
@@ -281,7 +281,7 @@ fn note_thread(stats: &CallbackStats, process: ProcessMark) {
     }
 }
 
-/// `None` in a thread that holds nothing to a budget.
+/// Calls `using` with this thread's enforcer; `None` in a thread that enforces no budgets.
 fn with_enforcer<R>(using: impl FnOnce(&BudgetEnforcer) -> R) -> Option<R> {
     ENFORCER.try_with(|enforcer| enforcer.try_borrow().ok()?.as_ref().map(using)).ok()?
 }
@@ -294,8 +294,8 @@ pub fn idle() -> u64 {
     METER.with(|meter| meter.lap(monotonic_ns()))
 }
 
-/// As [`idle`], in a thread that really begins to wait. Where core time is accounted for, what it used until now is no part of the next job's
-/// wait for the core.
+/// As [`idle`], in a thread that really begins to wait. Where core time is accounted for, the processor time used until now is not part of
+/// the next job's wait for the core.
 ///
 /// # Real-time
 /// As [`idle`]; three syscalls more where core time is accounted for.
@@ -325,7 +325,7 @@ pub fn used_ns() -> Option<u64> {
     })
 }
 
-/// What the executors of another library use in this process's threads for each callback.
+/// The processor time that another library's executors use in this process's threads for each callback.
 #[derive(Debug)]
 pub struct ForeignExecutor {
     /// Each counter may have only one writer at a time.
@@ -347,7 +347,7 @@ impl ForeignExecutor {
         Ok(ForeignExecutor { stats: PiMutex::new(stats), is_alone })
     }
 
-    /// A callback has ended. The thread used `before_ns` for it until its message was taken, and `after_ns` from then on.
+    /// Records a callback that has ended. The thread used `before_ns` for it until its message was taken, and `after_ns` from then on.
     ///
     /// # Real-time
     /// Waits for a thread in it, with priority inheritance; no allocation; no syscall.

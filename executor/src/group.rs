@@ -61,7 +61,7 @@ pub struct CallbackGroup {
     kept: Vec<GroupGuard>,
 }
 
-/// What the executor has to know of a member.
+/// The statistics and options of a member, which the executor needs.
 pub(crate) struct MemberInfo {
     pub stats: Arc<CallbackStats>,
     pub options: CallbackOptions,
@@ -131,7 +131,7 @@ impl CallbackGroup {
         std::mem::take(&mut self.members)
     }
 
-    /// Makes the members, in the thread that will run them; and what is kept as long as they are.
+    /// Creates the members, in the thread that will run them, and returns the objects that are kept as long as the members.
     pub(crate) fn into_members(self) -> (Box<[Box<dyn GroupMember>]>, Vec<GroupGuard>) {
         (self.recipes.into_iter().map(|make| make()).collect(), self.kept)
     }

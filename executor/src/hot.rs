@@ -26,7 +26,7 @@ thread_local! {
     static CURRENT: RefCell<Option<CallbackThread>> = const { RefCell::new(None) };
 }
 
-/// What streams can learn of the callback thread they run on.
+/// The state of a callback thread that its streams can read.
 pub(crate) struct CallbackThread {
     /// Records jobs; `None` in a group, which measures its members itself.
     pub measured: Option<Measured>,
@@ -53,7 +53,7 @@ pub(crate) struct Measured {
     pub account: Option<CoreTimeAccount>,
 }
 
-/// Holds jobs to their budgets: see [`OverrunPolicy`](crate::OverrunPolicy).
+/// Enforces the budgets of jobs: see [`OverrunPolicy`](crate::OverrunPolicy).
 pub(crate) struct BudgetEnforcer {
     timer: BudgetTimer,
     how: Enforcement,
@@ -70,7 +70,7 @@ enum Enforcement {
     },
     Suspend {
         period: Duration,
-        /// After an overrun, until a job is released that has not waited for it: the rest of the last refill.
+        /// The rest of the last refill: from an overrun until a job is released that has not waited for the overrun.
         behind: Cell<Option<RemainingBudget>>,
     },
 }
@@ -86,8 +86,8 @@ impl BudgetEnforcer {
         BudgetEnforcer { timer, how, running: Cell::new(0) }
     }
 
-    /// A job begins that has a budget, which counts from when the thread had used `since_ns`; now that is `now_ns`. One that has waited for
-    /// an overrun is done below all others: its release is past, and at the thread's priority it would be an interference that nobody has counted.
+    /// Starts to enforce the budget of a job, which counts from the thread's processor time `since_ns`; the present one is `now_ns`. A job
+    /// that has waited for a demoted job runs demoted, too: its release is past, so at the thread's priority no analysis counts it.
     pub fn begin(&self, release_ns: u64, since_ns: u64, now_ns: u64, budget: Option<Duration>) {
         let is_first = self.running.replace(self.running.get().saturating_add(1)) == 0;
         match &self.how {
@@ -110,7 +110,7 @@ impl BudgetEnforcer {
         }
     }
 
-    /// One that is late by more than a period, by what it says, is taken to be late by one: it would get all refills since at once.
+    /// Arms the timer. A release more than one period ago counts as one period ago: otherwise the job would get all refills since at once.
     fn refill(
         &self,
         release_ns: u64,
@@ -129,7 +129,7 @@ impl BudgetEnforcer {
         self.timer.arm_refilled(since_ns, budget_ns, Refill { at_ns: refill_at_ns, period, budget });
     }
 
-    /// A job ends. Says whether it was demoted or suspended. Jobs that overlap share what comes of it, until the last of them ends.
+    /// Ends the enforcement for a job; returns whether it was demoted or suspended. Of overlapping jobs the last one returns it for all.
     pub fn end(&self) -> bool {
         self.running.set(self.running.get().saturating_sub(1));
         if self.running.get() > 0 {
@@ -137,7 +137,7 @@ impl BudgetEnforcer {
         }
         match &self.how {
             Enforcement::Demote { ends, overran_until_ns } => {
-                // One that ends has nothing more to do at its priority.
+                // A callback that ends stays demoted, because it has no more jobs.
                 let demoted = match ends {
                     Some(_) => self.timer.disarm_for_good(),
                     None => self.timer.disarm(),
@@ -159,31 +159,31 @@ impl BudgetEnforcer {
         }
     }
 
-    /// Whether the job that runs has slept for want of a budget.
+    /// Whether the running job was suspended, because its budget was used up.
     fn has_slept(&self) -> bool {
         self.timer.was_suspended()
     }
 }
 
-/// Measures execution times on the thread it was made on.
+/// Measures execution times on the thread that created it.
 ///
-/// The thread's CPU clock costs a syscall, so it is read once per job, at its end: a job is charged what the thread has
-/// used since the job before, which is its callback's work and the executor's to get there. It is not read if that ended less than
-/// [`SHORT_NS`] ago: then the thread was not preempted, and has used what has passed. A busy poller uses the
+/// The thread's CPU clock costs a syscall, so it is read once per job, at its end: a job is charged the processor time since the end of
+/// the previous job, which its callback and the executor used. It is not read if that job ended less than [`SHORT_NS`] ago: then the
+/// thread was not preempted, and has used all the time that has passed. A busy poller uses the
 /// processor all the time, but has it to itself: there the monotonic clock, which costs no syscall, is read at both ends.
 pub(crate) struct Stopwatch {
     busy: bool,
     /// The end of the previous job; `None` before the first.
     since_ns: Cell<Option<u64>>,
-    /// The same on the monotonic clock, unless that is the one above.
+    /// The end of the previous job on the monotonic clock. For a busy poller, `since_ns` is on that clock already.
     ended_ns: Cell<u64>,
-    /// How many jobs since the CPU clock was read: the clocks differ in rate.
+    /// Jobs since the CPU clock was last read; limited, because the clocks differ in rate.
     unread: Cell<u32>,
 }
 
-/// Less than two switches between threads take.
+/// Shorter than two context switches.
 const SHORT_NS: u64 = 1000;
-/// After so many short jobs the CPU clock is read all the same.
+/// The CPU clock is read again after this many short jobs.
 const SHORT_JOBS: u32 = 64;
 
 impl Stopwatch {
@@ -199,7 +199,7 @@ impl Stopwatch {
         }
     }
 
-    /// The execution time of a job that ends `now_ns`, on the monotonic clock. The CPU clock is read if that `is_exact`.
+    /// Returns the execution time of a job that ends at `now_ns` (monotonic). `is_exact`: the CPU clock is read even after a short job.
     pub fn lap(&self, now_ns: u64, is_exact: bool) -> u64 {
         let passed_ns = now_ns.saturating_sub(self.ended_ns.replace(now_ns));
         let is_short = !is_exact && passed_ns < SHORT_NS && self.unread.get() < SHORT_JOBS;
@@ -214,7 +214,7 @@ impl Stopwatch {
 }
 
 impl Measured {
-    /// A job begins of the callback with these statistics: the thread's own, or a member's.
+    /// Records the start of a job. `of`: the statistics of its callback, which are the thread's own or a group member's.
     fn begin(&self, release_ns: u64, of: &CallbackStats) -> StartedJob {
         self.stats.release(release_ns);
         if let Some(account) = &self.account {
@@ -229,7 +229,7 @@ impl Measured {
         StartedJob { release_ns }
     }
 
-    /// A job that ends now, of the callback with these statistics.
+    /// Records the end of a job, now. `of` is as in `begin`.
     fn end(&self, begun: StartedJob, input_size: Option<u64>, of: &CallbackStats) -> stats::Job {
         let StartedJob { release_ns } = begun;
         let now_ns = monotonic_ns();
@@ -246,8 +246,8 @@ impl Measured {
         stats::Job { release_ns, response_ns, execution_ns, input_size }
     }
 
-    /// What handlers used up is no job's.
-    fn pass_over(&self, told: bool) {
+    /// Excludes the time of handlers, if one was called, from the next job's execution time.
+    fn exclude_handlers(&self, told: bool) {
         if let (true, Some(stopwatch)) = (told, &self.stopwatch) {
             stopwatch.lap(monotonic_ns(), true);
         }
@@ -264,7 +264,7 @@ pub(crate) fn enter(thread: CallbackThread) {
     CURRENT.set(Some(thread));
 }
 
-/// `None` on any other thread, and on one that is going down.
+/// Calls `ask` with the current callback thread; `None` on any other thread, and during thread shutdown.
 fn current<R>(ask: impl FnOnce(&CallbackThread) -> R) -> Option<R> {
     CURRENT.try_with(|thread| thread.try_borrow().ok()?.as_ref().map(ask)).ok()?
 }
@@ -295,7 +295,7 @@ pub fn stop_requested() -> bool {
     current(|thread| thread.control.stopped.load(Ordering::Acquire)).unwrap_or(false)
 }
 
-// ---- Running a future until it ends or is told to stop ----
+// ---- Running a future until it ends or is stopped ----
 
 /// The state shared by a callback's thread and its handle.
 #[derive(Default)]
@@ -322,11 +322,11 @@ impl TaskControl {
 /// How a callback thread sleeps if not only the executor's wakers can wake it: see
 /// [`CallbackOptions::direct_wake`](crate::CallbackOptions::direct_wake).
 pub trait Parker: Any + Send + Sync {
-    /// Sleeps until somebody has unparked it since the last return, after it has looked for that without sleeping for `spin`.
-    /// Called by the one thread whose it is.
+    /// Sleeps until [`unpark`](Self::unpark) has been called since the last return, after polling for that for `spin` without sleeping.
+    /// Only the parker's own thread calls it.
     fn park(&self, spin: Duration);
 
-    /// Wakes the thread if it sleeps; else it will not fall asleep before it has looked again.
+    /// Wakes the thread if it sleeps; otherwise the thread checks again before it sleeps.
     fn unpark(&self);
 }
 
@@ -370,11 +370,11 @@ pub fn parks_on(known: Option<&Arc<dyn Parker>>) -> bool {
 
 /// How a callback thread waits for its future.
 pub(crate) enum WaitMode {
-    /// Like the pool, which parks the thread.
+    /// In the pool, which parks the thread.
     InPool,
     /// On its own parker, after a spin.
     On(Arc<dyn Parker>, Waker, Duration),
-    /// It does not wait.
+    /// Not at all: it polls again at once.
     Busy,
 }
 
@@ -386,7 +386,7 @@ pub(crate) struct Controlled {
 }
 
 impl Drop for Controlled {
-    /// What wakes the thread goes with it, though handles stay.
+    /// Drops the thread's waker, although handles may keep the control.
     fn drop(&mut self) {
         drop(self.control.waker.take());
     }
@@ -397,7 +397,7 @@ impl Future for Controlled {
 
     fn poll(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<()> {
         let Controlled { future, control, waiting } = &mut *self;
-        // Before the flags are read, so that a change after reading them wakes.
+        // Registered before the flags are read, so that a later change wakes the task.
         control.waker.register(cx.waker());
         // Acquire: each pairs with the Release in `TaskControl`.
         if control.stopped.load(Ordering::Acquire) {
@@ -406,11 +406,10 @@ impl Future for Controlled {
         if !control.started.load(Ordering::Acquire) {
             return Poll::Pending;
         }
-        // The loops of those that do not park stay here: a turn through the pool would cost more than the poll, and nobody else
-        // is in this pool.
+        // Threads that do not park in the pool loop here: a return to the pool would cost more than the poll, and it has no other task.
         match waiting {
             WaitMode::InPool => future.as_mut().poll(cx),
-            // What is polled again anyway need not be woken.
+            // No waker is needed, because the future is polled again in any case.
             WaitMode::Busy => loop {
                 if future.as_mut().poll(&mut Context::from_waker(Waker::noop())).is_ready()
                     || control.stopped.load(Ordering::Acquire)
@@ -487,7 +486,7 @@ impl Job {
         if let Some(job) = job {
             current(|thread| {
                 if let Some(to) = &thread.measured {
-                    to.pass_over(to.watch.call_handlers(to.stats.complete(&job), &job));
+                    to.exclude_handlers(to.watch.call_handlers(to.stats.complete(&job), &job));
                 }
             });
         }
@@ -559,7 +558,7 @@ impl Future for GroupFuture {
     }
 }
 
-/// Asks every member for its next item and picks the one released first, the first added among equals.
+/// Polls every member for its next item and returns the index of the one released first; among equals, of the one added first.
 /// Pending: no item yet. `None`: all streams have ended.
 fn oldest(members: &mut [Box<dyn GroupMember>], cx: &mut Context<'_>) -> Poll<Option<usize>> {
     let mut oldest: Option<(u64, usize)> = None;
@@ -629,7 +628,7 @@ where
         if let Some(item) = self.next.take() {
             let release_ns = (self.release)(&item);
             self.stats.release(release_ns);
-            // What a member's stream stated is no job's.
+            // A size that a member's stream stated belongs to no job.
             current(|thread| thread.input_size.take());
             self.begun = Some(total.begin(release_ns, &self.stats));
             tautline_trace::callback_start(self.traced, release_ns);
@@ -638,17 +637,17 @@ where
         if let Some(future) = self.future.as_mut().as_pin_mut() {
             ready!(future.poll(cx));
         }
-        // Dropped before the clock is read: an item's end is part of its job.
+        // Dropped before the clock is read: the drop of an item is part of its job.
         self.future.set(None);
         if let Some(begun) = self.begun.take() {
             let input_size = current(|thread| thread.input_size.take()).flatten();
             let job = total.end(begun, input_size, &self.stats);
             tautline_trace::callback_end(self.traced, job.execution_ns);
             let of_member = self.watch.call_handlers(self.stats.complete(&job), &job);
-            // Sizes of different members are of different things.
+            // Input sizes of different members have different units.
             let of_all = stats::Job { input_size: None, ..job };
             let of_group = total.watch.call_handlers(total.stats.complete(&of_all), &job);
-            total.pass_over(of_member || of_group);
+            total.exclude_handlers(of_member || of_group);
         }
         Poll::Ready(())
     }

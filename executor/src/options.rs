@@ -31,7 +31,7 @@ pub struct CallbackOptions {
     pub cores: Option<CoreSet>,
     /// The size of its stack, which is touched before the thread becomes real-time.
     pub stack_bytes: usize,
-    /// The shortest time between two releases; only the deadline's default depends on it.
+    /// The shortest time between two releases: the deadline's default, and the refill period of [`OverrunPolicy::Suspend`].
     pub period: Option<Duration>,
     /// A job whose response takes longer than this misses its deadline. `None`: the period.
     pub deadline: Option<Duration>,
@@ -39,7 +39,7 @@ pub struct CallbackOptions {
     pub budget: Option<Duration>,
     /// Jobs with longer responses are recorded with their times: see [`CallbackOptions::bound`].
     pub bound: Option<Duration>,
-    /// What happens to a job that uses more.
+    /// What happens to a job that uses more than its budget.
     pub overrun_policy: OverrunPolicy,
     /// The handlers for a job that used more than its budget, and for a job that missed its deadline.
     pub watch: Watch,
@@ -47,9 +47,9 @@ pub struct CallbackOptions {
     pub busy_poll: bool,
     /// Let publishers wake the thread: see [`CallbackOptions::direct_wake`].
     pub direct_wake: bool,
-    /// Whether the sampler wakes the thread if the process has no bell left on which publishers could: else that is an error.
+    /// Whether the sampler wakes the thread if the process has no bell left for direct wake-ups; otherwise that is an error.
     pub is_direct_wake_optional: bool,
-    /// How long such a thread polls for a message before it sleeps: see [`CallbackOptions::spin`].
+    /// How long a thread with `direct_wake` polls for a message before it sleeps: see [`CallbackOptions::spin`].
     pub spin: Duration,
     /// Measure execution times, at one syscall per job (none if the thread busy-polls). On by default.
     pub execution_time: bool,

@@ -8,13 +8,13 @@ use tautline_rt::CoreSet;
 
 use crate::ExecutorError;
 
-/// The threads an executor knows of.
+/// The threads that are registered with an executor.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Registry {
     threads: Arc<Mutex<Vec<Arc<RegisteredThread>>>>,
 }
 
-/// A thread's place among the others.
+/// The properties of a thread that decide whether it starves, or starves others.
 #[derive(Debug)]
 pub(crate) struct RegisteredThread {
     pub name: String,

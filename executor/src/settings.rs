@@ -8,7 +8,7 @@ use tautline_rt::{Policy, RtError, policy_of, set_policy_of};
 use crate::callback::CallbackShared;
 use crate::{CallbackOptions, ExecutorError};
 
-/// All callbacks of an executor, some of those that have ended among them.
+/// The callbacks of an executor, including some that have ended.
 pub(crate) type Callbacks = Arc<Mutex<Vec<Arc<CallbackShared>>>>;
 
 /// Access to the callbacks of an [`Executor`](crate::Executor), without keeping the executor alive: see
@@ -35,7 +35,7 @@ impl CallbackSettings {
     /// Callbacks that were already changed get their former policies again.
     pub fn change(&self, options: &CallbackOptions) -> Result<usize, ExecutorError> {
         let callbacks = self.callbacks.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let running = callbacks.iter().filter(|callback| !callback.end.has_come());
+        let running = callbacks.iter().filter(|callback| !callback.end.has_ended());
         let found: Vec<_> = running
             .filter_map(|callback| {
                 let mut all = std::iter::once(&callback.stats).chain(&callback.members);
@@ -59,7 +59,7 @@ impl CallbackSettings {
     }
 }
 
-/// Sets the thread's policy, and says which it had.
+/// Sets the thread's policy, and returns the former one.
 fn set(callback: &CallbackShared, name: &str, policy: Policy) -> Result<Policy, ExecutorError> {
     let failed = |source: RtError| ExecutorError::Thread { name: name.to_owned(), source };
     let tid = callback.info.tid;
@@ -68,7 +68,7 @@ fn set(callback: &CallbackShared, name: &str, policy: Policy) -> Result<Policy, 
         _ => policy_of(tid).map_err(failed)?,
     };
     match (former, policy) {
-        // Without real-time priorities there is none to change.
+        // A thread without a real-time policy has no priority to change.
         (Policy::Other { .. } | Policy::Unmanaged(_), _) => return Ok(former),
         (Policy::Fifo(_), Policy::Fifo(priority)) | (Policy::RoundRobin(_), Policy::RoundRobin(priority)) => {
             callback.priority.change(tid, priority).map_err(failed)?;

@@ -33,7 +33,7 @@ pub trait Message: Form<Value = Self> + Send + Sync + 'static {
     /// `ImageRef`.
     type View<'a>: Copy + Send + Sync;
 
-    /// Checks a body and gives what reads it in place.
+    /// Checks a body and returns its view.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall. Constant for a plain type without `bool`, `char` and enum fields, otherwise
@@ -43,7 +43,7 @@ pub trait Message: Form<Value = Self> + Send + Sync + 'static {
     /// [`DecodeError`] with field and byte for anything that the type cannot be.
     fn view(body: Body<'_>) -> Result<Self::View<'_>, DecodeError>;
 
-    /// The same view for a shorter time.
+    /// The same view with a shorter lifetime.
     #[doc(hidden)]
     fn shorten<'short, 'long: 'short>(view: Self::View<'long>) -> Self::View<'short>;
 
@@ -55,7 +55,7 @@ pub trait Message: Form<Value = Self> + Send + Sync + 'static {
     #[doc(hidden)]
     const PLAIN: Option<PlainView<Self>> = None;
 
-    /// Of [plain](crate::Plain) types: what they consist of.
+    /// The structure of [plain](crate::Plain) types.
     #[doc(hidden)]
     const SHAPE: Option<&'static crate::Shape> = None;
 
@@ -158,7 +158,7 @@ pub trait Message: Form<Value = Self> + Send + Sync + 'static {
 pub struct PlainView<T>(PhantomData<fn(T) -> T>);
 
 impl<T: Plain + Message> PlainView<T> {
-    /// Says so.
+    /// Creates the proof.
     ///
     /// # Safety
     /// [`Message::view`] of `T` is [`view_plain`](crate::view_plain).

@@ -50,7 +50,7 @@ pub unsafe trait Plain: Form<Value = Self> + Copy + Send + Sync + 'static {
     /// Bytes of all its primitives: [`CDR_SIZE`](Plain::CDR_SIZE) without the padding between them.
     const CONTENT_SIZE: usize;
 
-    /// What it consists of.
+    /// The structure of the type.
     #[doc(hidden)]
     const SHAPE: Shape;
 
@@ -67,7 +67,7 @@ pub unsafe trait Plain: Form<Value = Self> + Copy + Send + Sync + 'static {
     /// in the number of fields and array elements that can be invalid.
     ///
     /// # Errors
-    /// [`Invalid::Length`] if a field that is looked at lies past the end (numbers are not looked at: who calls this has
+    /// [`Invalid::Length`] if a field that is looked at lies past the end (numbers are not looked at: the caller has
     /// checked the length), [`Invalid::Value`] for the first invalid field.
     fn validate(bytes: &[u8]) -> Result<(), Invalid>;
 
@@ -240,7 +240,7 @@ fn explain<T: Plain + Message>(body: Body<'_>) -> DecodeError {
     }
 }
 
-/// Not inlined: where the value does not fit, there must be no place for it on the stack either.
+/// Not inlined: a value that does not fit must not get space on the caller's stack either.
 #[inline(never)]
 fn field_error<T: Message>(bytes: &[u8]) -> Option<DecodeError> {
     T::decode(bytes, Endian::Little).err()

@@ -21,11 +21,11 @@ pub trait Service: Send + Sync + 'static {
 /// `example_interfaces::action::Fibonacci::Action`. Its functions build the messages that are sent, and split
 /// received ones.
 pub trait Action: Send + Sync + 'static {
-    /// What a client asks for.
+    /// The goal that a client sends.
     type Goal: Message;
-    /// What it gets at the end.
+    /// The result that the client gets at the end.
     type Result: Message + Default;
-    /// What it hears on the way.
+    /// The feedback that the client gets meanwhile.
     type Feedback: Message;
     /// The feedback with the goal's id, as published.
     type FeedbackMessage: Message;
@@ -40,13 +40,13 @@ pub trait Action: Send + Sync + 'static {
 
     /// The request that sends a goal.
     fn make_goal_request_msg(goal_id: GoalId, goal: Self::Goal) -> <Self::SendGoal as Service>::Request;
-    /// The response to it, with the time of acceptance in seconds and nanoseconds.
+    /// The response to a goal, with the time of acceptance in seconds and nanoseconds.
     fn make_goal_response_msg(accepted: bool, stamp: (i32, u32)) -> <Self::SendGoal as Service>::Response;
     /// The feedback with its goal's id.
     fn make_feedback_msg(goal_id: GoalId, feedback: Self::Feedback) -> Self::FeedbackMessage;
     /// The request that waits for a result.
     fn make_result_request_msg(goal_id: GoalId) -> <Self::GetResult as Service>::Request;
-    /// The response to it.
+    /// The response to a request for a result.
     fn make_result_response_msg(status: i8, result: Self::Result) -> <Self::GetResult as Service>::Response;
     /// The id and the goal.
     fn destructure_goal_request_msg(msg: <Self::SendGoal as Service>::Request) -> (GoalId, Self::Goal);

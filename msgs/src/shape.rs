@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The structure of plain types. From it the definition of a type is made that is only written in Rust.
+//! The structure of plain types. The definition of a type that is only written in Rust is made from it.
 
 use crate::Message;
 use core::fmt::Write;
@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 #[doc(hidden)]
 #[derive(Debug)]
 pub enum Shape {
-    /// By its name in definitions.
+    /// A primitive, by its name in definitions.
     Primitive(&'static str),
     /// This number of elements of one shape.
     Array(&'static Shape, usize),
@@ -45,10 +45,10 @@ pub fn definition_text<T: Message>() -> Option<String> {
     }
 }
 
-/// The text while it is made.
+/// A text that is being made.
 struct Text<'n> {
     package: &'n str,
-    /// Of the types that fields are of, by their names.
+    /// The definitions of the types of fields, by their names.
     needed: BTreeMap<String, String>,
 }
 
@@ -75,7 +75,7 @@ impl<'n> Text<'n> {
         Some(lines)
     }
 
-    /// The name of a field's type, and of how many elements it is; 0 for no array.
+    /// The name of a field's type, and its number of elements; 0 if it is no array.
     fn base(&mut self, shape: &Shape) -> Option<(String, usize)> {
         match shape {
             Shape::Primitive(name) => Some(((*name).to_owned(), 0)),

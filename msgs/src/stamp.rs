@@ -2,7 +2,7 @@
 
 use crate::Message;
 
-/// A message with the time of its measurement: generated types with a `std_msgs/Header header` are such.
+/// A message with the time of its measurement: generated types with a `std_msgs/Header header` implement it.
 ///
 /// For your own type:
 /// ```

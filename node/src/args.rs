@@ -9,21 +9,21 @@ use crate::parameters::yaml::{self, NodeParameters};
 use crate::remap::RemapRules;
 use std::path::Path;
 
-/// What a command line says to the nodes of a context.
+/// The settings of a command line for the nodes of a context.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Arguments {
     /// The arguments that are the program's own.
     pub(crate) others: Vec<String>,
     pub(crate) remap: RemapRules,
-    /// In the order in which they stand there: a later one counts.
+    /// In the order of the command line; of two values the later one counts.
     pub(crate) parameters: NodeParameters,
-    /// Of all loggers, or of the one that is named and those below.
+    /// The level of all loggers, or of the named logger and those below it.
     pub(crate) log_levels: Vec<(Option<String>, LogSeverity)>,
     pub(crate) enclave: Option<String>,
     pub(crate) outputs: Outputs,
 }
 
-/// Where log lines go, if the command line says something about it.
+/// The outputs of log lines, where the command line sets them.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Outputs {
     pub(crate) rosout: Option<bool>,
@@ -32,7 +32,7 @@ pub(crate) struct Outputs {
 
 impl Arguments {
     /// # Errors
-    /// [`Error::Argument`] with the one that is not understood; [`Error::Parameter`] for a parameter file.
+    /// [`Error::Argument`] with the argument that is not understood; [`Error::Parameter`] for a parameter file.
     pub(crate) fn parse(arguments: impl IntoIterator<Item = String>) -> Result<Arguments> {
         let mut parsed = Arguments::default();
         let mut rules = Vec::new();
@@ -86,7 +86,7 @@ impl Arguments {
             "--disable-rosout-logs" => self.outputs.rosout = Some(false),
             "--enable-stdout-logs" => self.outputs.console = Some(true),
             "--disable-stdout-logs" => self.outputs.console = Some(false),
-            // There is no further logging library that it could be about.
+            // Accepted without effect: there is no external logging library.
             "--disable-external-lib-logs" => {}
             _ => {
                 let known = "it is none of -r, -p, --params-file, --log-level, -e, --[en|dis]able-rosout-logs, \

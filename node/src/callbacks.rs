@@ -14,7 +14,7 @@ pub struct NodeCallbacks {
 impl NodeCallbacks {
     pub(crate) fn keep(&self, callback: &CallbackHandle) {
         let mut list = self.list.lock().unwrap_or_else(PoisonError::into_inner);
-        // Those that panicked stay: whoever ends them is told.
+        // Callbacks that panicked stay, so that `end` reports them.
         list.retain(|callback| !(callback.is_finished() && callback.clone().join().is_ok()));
         list.push(callback.clone());
     }
@@ -32,7 +32,7 @@ impl NodeCallbacks {
     /// callbacks have ended.
     pub fn end(&self) -> Result<()> {
         let mut ended = Ok(());
-        // Until there is none: a callback may spawn others.
+        // Repeated until the list is empty: a callback may spawn others.
         loop {
             let list = std::mem::take(&mut *self.list.lock().unwrap_or_else(PoisonError::into_inner));
             if list.is_empty() {

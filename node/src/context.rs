@@ -508,7 +508,7 @@ impl Context {
 
     pub(crate) fn warn_if_above_sampler(&self, options: &CallbackOptions) {
         let sampler = self.shared.sampler_priority;
-        // A reservation is above it, too, but never for longer than it says.
+        // A reservation preempts the sampler, too, but never for longer than its budget.
         let priority = options.policy.realtime_priority().filter(|priority| *priority < Policy::RESERVATION);
         if self.realtime() == Realtime::Required && priority >= Some(sampler) {
             let (name, policy) = (&options.name, options.policy);
@@ -518,7 +518,7 @@ impl Context {
         }
     }
 
-    /// Checks callbacks that are to be spawned on a thread with the settings `thread`. What is returned is kept until they are.
+    /// Checks callbacks that are to be spawned on a thread with the settings `thread`. The caller keeps the result until they are spawned.
     pub(crate) fn admit<'o>(
         &self,
         thread: &CallbackOptions,
@@ -542,7 +542,7 @@ impl Context {
         if self.realtime() == Realtime::Required {
             let policy = Policy::Fifo(self.shared.sampler_priority);
             let cores = settings.sampler_cores.unwrap_or(former.1);
-            // Before anything is set: on a busy poller's core this thread might not get as far as this check.
+            // Checked before anything is set: on a busy poller's core this thread might not get as far as this check.
             held._seat = Some(self.shared.executor.register_thread("sampler", policy, cores)?);
             tautline_rt::tune_malloc();
             if settings.lock_memory != Some(false) {
@@ -555,7 +555,7 @@ impl Context {
             held.policy = Some(former.0);
             tautline_rt::set_policy(policy)?;
         }
-        // The cores last, for the same reason.
+        // The cores are set last, for the same reason.
         if let Some(cores) = settings.sampler_cores {
             held.cores = Some(former.1);
             tautline_rt::set_affinity(cores)?;
@@ -582,7 +582,7 @@ impl Drop for BorrowedSampler<'_> {
     }
 }
 
-/// What the sampler's thread holds while it spins, and what it was before in what was changed.
+/// What the sampler's thread holds while it spins, and its former policy and cores, where they were changed.
 struct SamplerSettings {
     policy: Option<Policy>,
     cores: Option<CoreSet>,

@@ -13,7 +13,7 @@ use tautline_transport::{
     TopicEndpoint,
 };
 
-/// What ROS 2 calls the node of an endpoint that has none.
+/// ROS 2's placeholder for the node of an endpoint that has none.
 const UNKNOWN_NAME: &str = "_NODE_NAME_UNKNOWN_";
 const UNKNOWN_NAMESPACE: &str = "_NODE_NAMESPACE_UNKNOWN_";
 
@@ -30,7 +30,7 @@ pub struct TopicEndpointInfo {
     pub topic_type_hash: Option<String>,
     /// Its identifier; for a publisher this is the identifier in its messages.
     pub endpoint_gid: [u8; 16],
-    /// The requested quality of service.
+    /// The quality of service that it offers or requests.
     pub qos: Qos,
     /// Its process, if it is on this host.
     pub pid: Option<u32>,
@@ -38,8 +38,8 @@ pub struct TopicEndpointInfo {
     pub is_remote: bool,
 }
 
-/// Questions about the graph. They are for setting up: each allocates, and reads what has changed since the last
-/// one, whatever else there is.
+/// Queries of the graph. They are for setup: each allocates, and first reads the changes of the domain since the context's last
+/// query.
 ///
 /// # Errors
 /// [`Error::Name`](crate::Error::Name): the name of a topic or a service is not valid. [`Error::Transport`](crate::Error::Transport): the
@@ -172,12 +172,12 @@ impl Node {
         Ok(ends.map(|end| TopicEndpointInfo::from(&**end)).collect())
     }
 
-    /// How many publishers a topic has.
+    /// The number of publishers of a topic.
     pub fn count_publishers(&self, topic_name: &str) -> Result<usize> {
         Ok(count(&*self.graph()?, &self.resolve_topic_name(topic_name)?, EndpointKind::Publisher))
     }
 
-    /// How many subscriptions a topic has.
+    /// The number of subscriptions of a topic.
     pub fn count_subscribers(&self, topic_name: &str) -> Result<usize> {
         Ok(count(&*self.graph()?, &self.resolve_topic_name(topic_name)?, EndpointKind::Subscription))
     }
@@ -236,7 +236,7 @@ impl Node {
         is_it: F,
     ) -> Result<impl Future<Output = Result<()>> + Send + use<F>> {
         let participant = self.participant.clone();
-        // Before the first look: nothing that happens after it is missed.
+        // Created before the first check, so that no later change is missed.
         let events = self.graph_events()?;
         Ok(wait(participant, events, is_it))
     }
@@ -248,7 +248,7 @@ async fn wait(
     is_it: impl Fn(&GraphSnapshot) -> bool + Send,
 ) -> Result<()> {
     while !is_it(&*participant.graph()?) {
-        // It does not end: the participant is alive.
+        // The stream does not end, because the participant is alive.
         events.next().await;
     }
     Ok(())

@@ -225,7 +225,7 @@ pub mod rt {
             burn_cpu, monotonic_ns, nanoseconds, sleep_until_monotonic, thread_cpu_ns, wall_ns,
         };
     }
-    /// Which processes meet: those of one scope and domain.
+    /// Selects the processes that see each other: those of one scope and domain.
     ///
     /// ```
     /// tautline::rt::domain::set_scope("simulation-2")?; // before anything else
@@ -234,7 +234,7 @@ pub mod rt {
     pub mod domain {
         pub use tautline_rt::domain::{ScopeError, set_scope};
     }
-    /// What this process may ask of the system.
+    /// The real-time settings that the system permits this process.
     ///
     /// ```
     /// if let Err(reason) = tautline::rt::permission::realtime_permitted(20) {

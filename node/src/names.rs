@@ -3,7 +3,7 @@
 
 use crate::error::{Error, Result};
 
-/// ROS 2's limit for node names, and for topics, less what Tautline adds to those of services.
+/// ROS 2's limits for names of nodes, and of topics, less the length of what Tautline adds to names of services.
 const MAX_NODE_NAME: usize = 255;
 const MAX_TOPIC_NAME: usize = 240;
 

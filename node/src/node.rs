@@ -315,7 +315,7 @@ impl Node {
         Ok((topic, limits))
     }
 
-    /// Those that were set for `topic`, a fully qualified name.
+    /// The limits that were set for `topic`, a fully qualified name.
     pub(crate) fn limits_of(&self, topic: &str) -> Limits {
         self.limits.get(topic).copied().unwrap_or_default()
     }
@@ -391,7 +391,7 @@ impl Node {
         Ok(self.kept(self.context.shared.executor.spawn_group(options, group)?))
     }
 
-    /// A callback of the node's own, which ends with it.
+    /// Spawns a callback of the node's own, which ends with the node.
     #[cfg(feature = "action_msgs")]
     pub(crate) fn spawn_for_itself(
         &self,
@@ -415,7 +415,7 @@ impl Node {
 
     fn prepare_thread(&self, options: &CallbackOptions) {
         self.context.warn_if_above_sampler(options);
-        // It may log by a name, without anybody having asked for a logger.
+        // The callback may log under a name although no logger was requested.
         logging::start();
     }
 
@@ -430,13 +430,13 @@ impl Node {
     /// Serves ready tasks; waits up to `timeout`: see [`Context::spin_once`].
     pub fn spin_once(&mut self, timeout: Duration) {
         self.context.spin_once(timeout);
-        // For callbacks that want to know of jumps.
+        // Calls the callbacks for jumps of the clock.
         #[cfg(feature = "rosgraph_msgs")]
         self.time_source.update();
     }
 }
 
-/// A release costs the sampler about as much.
+/// A release costs the sampler about as much time.
 const SHORTEST_PERIOD: Duration = Duration::from_micros(1);
 
 pub(crate) fn check_period(period: Duration) -> Result<()> {
@@ -465,7 +465,7 @@ const _: () = {
     is_send::<Timer>();
 };
 
-/// What is known of a type: of one that is only written in Rust also its hash, so that tools find its definition and read its messages.
+/// The description of a type: for a type that is only defined in Rust also its hash, so that tools find its definition and read messages.
 #[cfg(feature = "untyped")]
 fn topic_type_of<T: Message>() -> TopicType {
     use tautline_schema::Schema;
@@ -473,7 +473,7 @@ fn topic_type_of<T: Message>() -> TopicType {
     let Some(text) = topic_type.definition.as_ref().filter(|_| topic_type.hash.is_none()) else {
         return topic_type;
     };
-    // Fields whose names are none in ROS have no definition there.
+    // A type with field names that are not valid in ROS has no definition there.
     let schema = T::TYPE_NAME.parse().ok().and_then(|name| Schema::from_text(&name, text).ok());
     match schema {
         Some(schema) => topic_type.with_hash(schema.hash().to_string()),

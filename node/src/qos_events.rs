@@ -36,7 +36,7 @@ impl SubscriptionEvents {
     }
 }
 
-/// Nothing is given out any more once the callback is to stop.
+/// Polls the stream, which yields nothing more once the callback is to stop.
 fn unless_stopped<S: Stream + Unpin>(stream: &mut S, context: &mut Context<'_>) -> Poll<Option<S::Item>> {
     if stop_requested() { Poll::Pending } else { stream.poll_next_unpin(context) }
 }

@@ -2,7 +2,7 @@
 //! Adopts a changed text of the system file while callbacks run: their priorities, reservations, budgets, deadlines.
 //!
 //! ```text
-//!  who asks                          each process that has the file
+//!  requester                         each process that has the file
 //!   checks the new text against what runs; holds the domain's gate
 //!   order: could you?        ->       reads the file again, compares      (janitor's thread, low priority)
 //!                            <-       yes, or why not: then nothing is changed anywhere
@@ -45,7 +45,7 @@ impl CurrentSystem {
     }
 }
 
-/// What a process does when it is asked.
+/// Serves the orders of requesters in a process that has the file.
 #[derive(Debug)]
 pub(crate) struct Reload {
     orders: Orders,
@@ -58,7 +58,7 @@ impl Reload {
         Reload { orders, settings, system }
     }
 
-    /// Looks whether it is asked something.
+    /// Serves the next order, if there is one.
     pub(crate) fn serve_request(&self) {
         if let Some(order) = self.orders.next() {
             self.orders.answer(&order, self.follow(&order));
@@ -120,10 +120,10 @@ pub fn apply_system(domain: u32, path: impl AsRef<Path>) -> Result<Vec<String>> 
     let _gate = Gate::enter(domain, Admission::Check)?;
     let mut members = Vec::new();
     for statistics in shared_statistics(domain)?.0 {
-        // One of another version cannot have been asked; one that ends right now need not.
+        // A process of another version cannot get an order; a process that is ending need not.
         let Ok(Some(snapshot)) = statistics.read() else { continue };
         let process = snapshot.process;
-        // What is played from a bag has no callbacks.
+        // A process that is played from a bag has no callbacks.
         if process.system_path != path || !statistics.is_running() || !process.stands_in.is_empty() {
             continue;
         }
@@ -169,7 +169,7 @@ pub fn apply_system(domain: u32, path: impl AsRef<Path>) -> Result<Vec<String>> 
     Ok(members.iter().map(|(_, process)| label_of(process)).collect())
 }
 
-/// One order and its answer. A process that ends meanwhile needs no settings any more.
+/// Sends one order and waits for its answer. A process that ends meanwhile needs no settings any more.
 fn request_reload(
     domain: u32,
     process: &ForeignStatistics,

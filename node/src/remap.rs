@@ -78,7 +78,7 @@ impl RemapRules {
         self
     }
 
-    /// What the node that the program calls `name` is called.
+    /// The new name of the node that the program calls `name`.
     pub(crate) fn node_name<'a>(&'a self, name: &'a str) -> &'a str {
         let new = self.of_node(name).find_map(|effect| match effect {
             Effect::NodeName(new) => Some(&**new),
@@ -87,7 +87,7 @@ impl RemapRules {
         new.unwrap_or(name)
     }
 
-    /// The namespace that the node called `node` gets, if it is not to be the program's.
+    /// The namespace of the node called `node`, if a rule changes it.
     pub(crate) fn namespace(&self, node: &str) -> Option<&str> {
         self.of_node(node).find_map(|effect| match effect {
             Effect::Namespace(new) => Some(&**new),
@@ -95,11 +95,11 @@ impl RemapRules {
         })
     }
 
-    /// What `full`, a fully qualified name, is called in the node.
+    /// The new name in the node of `full`, a fully qualified name.
     pub(crate) fn name(&self, full: String, kind: NameKind, node: &str, namespace: &str) -> Result<String> {
         for effect in self.of_node(node) {
             let Effect::Name { kind: of, from, to } = effect else { continue };
-            // A rule that breaks a rule for names in this node's namespace names nothing in it.
+            // A rule whose left side is not a valid name in this node matches nothing in it.
             let is_meant = of.is_none_or(|of| of == kind)
                 && names::expand_topic(from, node, namespace).is_ok_and(|from| from == full);
             if is_meant {
@@ -124,7 +124,7 @@ fn parse(rule: &str) -> Result<Rule> {
     if left.is_empty() || to.is_empty() {
         return Err(refuse("there is nothing on one side of ':='".into()));
     }
-    // The colon of a scheme separates no node.
+    // The colon of a scheme does not follow a node's name.
     let (node, from) = match left.split_once(':') {
         Some((node, from)) if !from.starts_with("//") => {
             names::check_node(node).map_err(|error| refuse(error.to_string()))?;

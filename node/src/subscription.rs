@@ -97,7 +97,7 @@ impl<T: Decode> Stream for Subscription<T> {
     }
 }
 
-/// What a join knows of a topic: a message that it takes is a job, unless it is read beside a trigger.
+/// The subscription as input of a join: a message that the join takes is a job, unless it is read beside a trigger.
 impl<T: Decode> join::Source for Subscription<T> {
     fn name(&self) -> String {
         self.topic().to_owned()
@@ -166,7 +166,7 @@ impl Parker for ThreadParker {
     }
 }
 
-/// Makes what callback threads of this participant sleep on.
+/// Returns a function that creates the parkers of this participant's callback threads.
 pub(crate) fn thread_parkers(
     participant: &Participant,
 ) -> impl Fn() -> std::result::Result<Arc<dyn Parker>, Box<dyn std::error::Error + Send + Sync>> + use<> {
@@ -210,7 +210,7 @@ impl<S: SampleSource> Samples<S> {
         }
     }
 
-    /// The next sample, if there is one, without a job. One that cannot be taken comes later.
+    /// The next sample, if there is one, without a job. A sample that cannot be taken now is taken later.
     fn try_next(&mut self) -> Option<S::Sample> {
         let sample = self.source.try_take_valid().ok().flatten();
         if sample.is_some() || self.counters.lost() != self.noted_lost {
@@ -219,8 +219,8 @@ impl<S: SampleSource> Samples<S> {
         sample
     }
 
-    /// Ends the job of the sample before, and begins that of the next one, if there is one. `None`: the node has ended, and all that
-    /// had come was given out.
+    /// Ends the job of the previous sample, and begins the job of the next one, if there is one. `None`: the node has ended, and all
+    /// samples that had arrived were yielded.
     pub(crate) fn poll_next(&mut self, context: &mut Context<'_>) -> Poll<Option<S::Sample>> {
         self.finish();
         if stop_requested() {
@@ -242,7 +242,7 @@ impl<S: SampleSource> Samples<S> {
         poll
     }
 
-    /// Looks without registering for a wake-up.
+    /// Polls the queue without registering for a wake-up.
     fn poll_busily(&mut self, context: &mut Context<'_>) -> Poll<Option<S::Sample>> {
         if let Ok(Some(sample)) = self.source.try_take_valid() {
             return Poll::Ready(Some(sample));
@@ -250,12 +250,12 @@ impl<S: SampleSource> Samples<S> {
         if self.source.raw().has_ended() && !self.source.raw().has_samples() {
             return Poll::Ready(None);
         }
-        // For combinators that only poll what was woken.
+        // For combinators that poll only woken tasks.
         context.waker().wake_by_ref();
         Poll::Pending
     }
 
-    /// Tells the callback's statistics what became of its messages.
+    /// Records lost messages and the highest queue fill in the callback's statistics.
     fn note_queue(&mut self) {
         let lost = self.counters.lost();
         job::note_queue(QueueState {
@@ -266,22 +266,22 @@ impl<S: SampleSource> Samples<S> {
         self.noted_lost = lost;
     }
 
-    /// From here on publishers wake the current thread, or the sampler if that is not how it sleeps.
+    /// Makes publishers wake the current thread from now on, or the sampler if the thread does not sleep on a bell.
     #[cold]
     fn move_in(&mut self) {
         self.parker = parker();
         let any = self.parker.as_deref().map(|parker| parker as &dyn Any);
         let thread = any.and_then(|parker| parker.downcast_ref::<ThreadParker>());
-        // The look into the queue follows.
+        // The caller checks the queue afterwards.
         self.source.raw().wake_thread(thread.map(|ThreadParker(bell)| bell));
     }
 
-    /// Publishers need not ring as long as a busy-polling thread polls, and no longer.
+    /// Sets whether publishers need not ring: only as long as a busy-polling thread polls.
     fn set_quiet(&mut self, quiet: bool) {
         if quiet != self.quiet {
             self.quiet = quiet;
             self.source.raw().set_quiet(quiet);
-            // A publisher has a fence between sending and reading the flag: either it sees the change, or the look into
+            // A publisher has a fence between sending and reading the flag: either it sees the change, or the check of
             // the queue that follows here sees its sample.
             fence(Ordering::SeqCst);
         }

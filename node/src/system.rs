@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a system file says of callbacks that wait for several topics.
+//! The system file's settings for callbacks that wait for several topics.
 
 use crate::error::{Error, Result};
 use std::time::Duration;
@@ -8,7 +8,7 @@ use tautline_join::{ApproximateEpsilonTime, ApproximateTime, ExactTime};
 use tautline_system::{LoadedSystem, SystemError};
 use tautline_transport::Limits;
 
-/// What the callback `name` waits for.
+/// The join settings of the callback `name`.
 pub(crate) fn join_of(system: &LoadedSystem, name: &str) -> Result<CallbackJoin> {
     let callback = system.find(name)?;
     let (name, path) = (name.to_owned(), system.path().to_owned());

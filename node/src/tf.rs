@@ -94,7 +94,7 @@ impl TransformListener {
         let leaps = stream::poll_fn(move |context| leaps.poll(context)).map(|()| None);
         let logger = node.logger().clone();
         let callback = stream::select(leaps, both).for_each(move |event| {
-            // A message may be taken before the leap was seen that it comes after.
+            // A message that was published after a leap may be taken before the leap is polled.
             if event.is_none() || leap.take() {
                 writer.clear();
             }
@@ -131,7 +131,7 @@ impl Drop for TransformListener {
     }
 }
 
-/// That time has leapt back, told by the thread that reads `/clock`.
+/// Signals that time has leapt back; set by the thread that reads `/clock`.
 #[derive(Default)]
 struct Leap {
     is_new: AtomicBool,

@@ -50,7 +50,7 @@ impl Inner {
         }
     }
 
-    /// The next release, and since when it could be served, in `CLOCK_MONOTONIC`.
+    /// The next release, and the `CLOCK_MONOTONIC` time since which it could be served.
     fn poll_tick(&mut self, context: &mut Context<'_>) -> Poll<(Tick, u64)> {
         match self {
             Inner::Wall(timer) => timer.poll_tick(context).map(|tick| (tick, tick.release_ns)),
@@ -108,12 +108,12 @@ impl Timer {
             return Poll::Pending;
         }
         let poll = self.inner.poll_tick(context);
-        // After the waker was registered: whoever ends the node after this look wakes the task.
+        // Checked after the waker was registered: if the node ends after this check, the task is woken.
         if self.node.has_ended() {
             return Poll::Ready(None);
         }
         poll.map(|(tick, since_ns)| {
-            // A timer queues nothing: what is released while its callback is busy is missed, but for the latest.
+            // A timer queues nothing: releases while its callback is busy are missed, except the latest.
             job::note_queue(job::QueueState { lost: tick.missed, max_queue: 1, depth: 1 });
             self.job = Some(job::begin_for(self.trace.id(), since_ns));
             Some(tick)

@@ -26,7 +26,7 @@ struct Sent(Function);
 unsafe impl Send for Sent {}
 
 thread_local! {
-    /// The callback that this thread is in: the innermost, which leads to those around it.
+    /// The innermost call on this thread's stack; its `around` leads to the enclosing calls.
     static INNERMOST: Cell<*const Call<'static>> = const { Cell::new(std::ptr::null()) };
 }
 
@@ -42,8 +42,8 @@ impl EventCallback {
         *self.function.lock() = Sent(function);
     }
 
-    /// Waits until calls in progress in other threads have returned. The caller must hold no lock that they need. From within a callback it
-    /// waits a second at most: what it waits for may wait for that callback.
+    /// Waits until calls in progress in other threads have returned. The caller must hold no lock that they need. Called in a callback, it
+    /// waits for one second at most, because the other call may in turn wait for that callback.
     pub(crate) fn settle(&self) {
         let (own, start) = (self.own_calls(), Instant::now());
         while self.calls.load(Ordering::Acquire) > own {
@@ -56,7 +56,7 @@ impl EventCallback {
         }
     }
 
-    /// Calls of it that this thread is in, which return later than what they do.
+    /// The number of this callback's calls on this thread's stack, which cannot return before the caller does.
     fn own_calls(&self) -> u32 {
         let (mut own, mut call) = (0, INNERMOST.get());
         // SAFETY: null, or a call that runs in this thread until it has put back the one around it.

@@ -39,10 +39,10 @@ const BOUNDED: u8 = 1;
 
 const REASON_BYTES: usize = 256;
 
-/// The length of bodies of a type.
+/// The length of a type's CDR bodies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Length {
-    /// All have this length, and the same bytes as the begin of the struct in memory.
+    /// All bodies have this length, and equal the first bytes of the struct in memory.
     Plain(usize),
     AtMost(usize),
     Any,

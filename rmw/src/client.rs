@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Clients of services. Requests without a server wait for one.
+//! Clients of services. Requests are queued while there is no server.
 
 use crate::bindings::*;
 use crate::context::Watchers;
@@ -32,7 +32,7 @@ pub(crate) struct Client {
 
 pub(crate) struct Asking {
     raw: QueuedClient,
-    /// Requests with their sequence numbers, which found no server or a full queue.
+    /// Requests that found no server or a full queue, with their sequence numbers.
     unsent: VecDeque<(u64, Vec<u8>)>,
 }
 
@@ -80,7 +80,7 @@ impl Asking {
     }
 
     /// Sends or queues a request of at most `len_bytes`, written by `write`. Returns its sequence number.
-    fn ask(&mut self, len_bytes: usize, write: impl FnOnce(&mut [u8]) -> Result<usize>) -> Result<u64> {
+    fn send(&mut self, len_bytes: usize, write: impl FnOnce(&mut [u8]) -> Result<usize>) -> Result<u64> {
         self.flush()?;
         if self.unsent.len() >= MOST_UNSENT {
             let service = self.raw.service();
@@ -127,7 +127,7 @@ async fn serve(end: Weak<ReceivingEndpoint<Asking>>, watchers: Arc<Watchers>, li
             asking.raw.wake_once(context.waker());
             (asking.flush_one(), asking.raw.server_count())
         });
-        // Another thread waits for one of them, not for all.
+        // One request per lock, so that another thread waits for one of them, not for all.
         while let Ok(true) = flushed {
             flushed = end.with(Asking::flush_one);
         }
@@ -135,7 +135,7 @@ async fn serve(end: Weak<ReceivingEndpoint<Asking>>, watchers: Arc<Watchers>, li
         if let Err(error) = flushed {
             tracing::warn!("a request was not sent, retrying: {error:?}");
         }
-        // The graph showed the server earlier, but only now it can be called.
+        // The graph showed the server earlier, but only now can it be called.
         if std::mem::replace(&mut servers, found) != found {
             watchers.trigger();
         }
@@ -185,8 +185,8 @@ exported! {
         let estimate = unsafe { callbacks.estimate(request)? };
         // SAFETY: as above.
         let write = |body: &mut [u8]| unsafe { callbacks.write(request, body) };
-        let sent = client.end.with(|asking| asking.ask(estimate, write));
-        // Also of requests that had waited.
+        let sent = client.end.with(|asking| asking.send(estimate, write));
+        // Also for queued requests that were sent now.
         client.listeners.notify();
         *number = i64::try_from(sent?).unwrap_or(i64::MAX);
         Ok(())
@@ -213,7 +213,7 @@ exported! {
         let Ok(Some(sample)) = oldest else { return Ok(()) };
         // SAFETY: rmw's contract: a response of this type.
         if let Err(error) = unsafe { client.of.response.callbacks.read(sample.body(), true, response) } {
-            // Not an error for the caller: executors would end.
+            // Not an error for the caller, because executors would end.
             tracing::warn!(
                 "a response was dropped, because it is not a valid {}: {error:?}",
                 client.of.response.name()

@@ -29,15 +29,15 @@ pub(crate) struct Context {
     pub(crate) helper: Helper,
     pub(crate) system: System,
     pub(crate) participant: Participant,
-    /// The enclave of its nodes.
+    /// The enclave of the context's nodes.
     pub(crate) enclave: String,
     /// Existing nodes.
     pub(crate) nodes: AtomicUsize,
     watchers: Arc<Watchers>,
     pub(crate) waiters: Arc<Waiters>,
-    /// Its endpoints with callbacks for new messages.
+    /// The context's endpoints with callbacks for new messages.
     pub(crate) listeners: ListenersByName,
-    /// Its waits, for trace events.
+    /// The context's waits, for trace events.
     pub(crate) waits: Arc<SamplerObject>,
 }
 
@@ -60,7 +60,7 @@ impl Watchers {
 /// The waiters of a context's wait sets. None is dropped before its context and that context's wait sets, because a trigger of a guard
 /// condition may still use it.
 pub(crate) struct Waiters {
-    /// No one wakes a thread of a forked child.
+    /// The process that created the context: nothing wakes a thread of a forked child.
     process: ProcessMark,
     is_shut_down: AtomicBool,
     lists: Mutex<WaiterLists>,
@@ -78,7 +78,7 @@ impl Waiters {
         Waiters { process: ProcessMark::new(), is_shut_down, lists }
     }
 
-    /// Refuses to a forked child a wait in its parent's context.
+    /// Returns an error in a forked child, which cannot wait in its parent's context.
     ///
     /// # Real-time
     /// Wait-free: one load.
@@ -95,10 +95,10 @@ impl Waiters {
         self.lists.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Ends all waits; there are none from now on.
+    /// Ends all waits, and prevents new ones.
     fn shut_down(&self) {
         self.is_shut_down.store(true, Ordering::Release);
-        // Who is woken sees it, and who is not in the list reads it before sleeping.
+        // A woken thread sees the flag; a thread whose waiter is not in the list yet reads it before it sleeps.
         self.lists().used.iter().for_each(|waiter| Wakeable::wake(&**waiter));
     }
 
@@ -115,7 +115,7 @@ impl Waiters {
         let WaiterLists { used, free } = &mut *self.lists();
         let waiter = match free.iter().rposition(|waiter| matches!(**waiter, Waiter::Bell(_))) {
             Some(at) => free.swap_remove(at),
-            // A child, where no wait succeeds, has no bells.
+            // A forked child has no bells, and no wait succeeds in it.
             None if !self.process.is_here() => Arc::new(Waiter::Word(FutexWord::new(0))),
             None => match participant.doorbell().claim_thread_bell() {
                 Ok(bell) => Arc::new(Waiter::Bell(bell)),
@@ -137,14 +137,14 @@ impl Waiters {
 impl Context {
     fn join(domain: u32, enclave: &str) -> Result<Self> {
         let participant = Participant::new(domain)?;
-        // Its file is in the domain's folder.
+        // After the participant, because the statistics file is in the domain's folder.
         let system = System::of_environment(domain)?;
         let waits = Arc::new(tautline_trace::sampler_init(participant.trace_id(), "rmw_wait"));
         let helper = Helper::start(&participant)?;
         let watchers = Arc::<Watchers>::default();
         let (events, slot) = (participant.graph_events()?, Arc::new(participant.claim_slot()?));
         let watched = watchers.clone();
-        helper.run(move || tell_of_changes(events, slot, watched));
+        helper.run(move || signal_changes(events, slot, watched));
         let (nodes, waiters) = (AtomicUsize::new(0), Arc::new(Waiters::new()));
         Ok(Context {
             notifier: Notifier::default(),
@@ -160,8 +160,8 @@ impl Context {
         })
     }
 
-    /// Has the notifier serve an endpoint with a callback for new messages. Its rings are to wake the result. `priority` is that of the
-    /// thread that the system file gives the callback.
+    /// Registers an endpoint with a callback for new messages at the notifier. Returns the waker for the endpoint's rings. `priority` is
+    /// that of the thread to which the system file assigns the callback.
     pub(crate) fn serve(
         &self,
         endpoint: Weak<dyn Listener>,
@@ -170,7 +170,7 @@ impl Context {
         self.notifier.serve(endpoint, priority, || self.waiters.claim(&self.participant))
     }
 
-    /// For changes that are known before the graph shows them.
+    /// The signals to set for changes that are known before the graph shows them.
     pub(crate) fn watchers(&self) -> &Arc<Watchers> {
         &self.watchers
     }
@@ -180,8 +180,8 @@ impl Context {
         self.watchers.0.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::downgrade(signal));
     }
 
-    /// Whether this process made it. In a forked child, what is behind ROS's handles stays as it is: threads of the parent's may have
-    /// held its locks at the fork.
+    /// Whether this process created the context. A forked child does not touch the data of ROS's handles, because threads of the parent may
+    /// have held its locks at the fork.
     pub(crate) fn is_of_this_process(&self) -> bool {
         self.waiters.process.is_here()
     }
@@ -195,8 +195,8 @@ impl Context {
     }
 }
 
-async fn tell_of_changes(mut events: GraphEvents, slot: Arc<Slot>, watchers: Arc<Watchers>) {
-    // The graph's thread wakes tasks on the doorbell with a ring.
+async fn signal_changes(mut events: GraphEvents, slot: Arc<Slot>, watchers: Arc<Watchers>) {
+    // The graph's thread wakes this task with a ring of the doorbell.
     let ring = Waker::from(Arc::new(Ring(slot.clone())));
     loop {
         let event = poll_fn(|context| {
@@ -210,8 +210,8 @@ async fn tell_of_changes(mut events: GraphEvents, slot: Arc<Slot>, watchers: Arc
     }
 }
 
-/// By the environment: whether freed memory is used again, without page faults, for which the program's own settings of the C library go
-/// first; and whether serialized messages are samples.
+/// Applies the environment's settings: whether freed memory is reused without page faults, unless the program has its own settings of the
+/// C library; and whether serialized messages are samples.
 fn memory_of_environment() -> Result {
     const OWN: [&str; 5] = [
         "GLIBC_TUNABLES",
@@ -237,7 +237,7 @@ exported! {
         check_zero(context.implementation_identifier, "the context")?;
         log::start();
         memory_of_environment()?;
-        // ROS's logging would wait for its thread.
+        // ROS's logging library would wait for its thread, which a forked child does not have.
         tautline_rt::exempt_children();
         let domain = options::check(options)?;
         // SAFETY: rmw's contract; checked not to be null.

@@ -14,8 +14,8 @@ pub(crate) use humble::*;
 #[cfg(not(humble))]
 pub(crate) use since_jazzy::*;
 
-/// Refuses another distribution than that of the build, whose structs differ: of the librmw that is loaded, and of `ROS_DISTRO`, if it
-/// is set.
+/// Checks that the loaded librmw, and `ROS_DISTRO` if it is set, are of the distribution of the build: structs differ between
+/// distributions.
 pub(crate) fn check() -> Result {
     let sourced = std::env::var("ROS_DISTRO").unwrap_or_default();
     check_loaded(interface::of(is_loaded), &sourced)
@@ -37,7 +37,7 @@ pub(crate) fn check_loaded(loaded: &str, sourced: &str) -> Result {
     )))
 }
 
-/// For two functions whose tests in ROS 2 require, until Jazzy, another answer to a null pointer than rmw's headers document.
+/// The error for a null argument of two functions for which ROS 2's tests require, until Jazzy, another code than rmw's headers document.
 pub(crate) fn null_argument(what: &str) -> Error {
     match env!("RMW_INTERFACE") {
         "humble" | "jazzy" => Error::other(format!("{what} is null")),
@@ -84,10 +84,10 @@ mod since_jazzy {
         Ok(())
     }
 
-    /// Copies the options for discovery; those of `to` are not initialised before.
+    /// Copies the options for discovery into those of `to`, which are uninitialised.
     ///
     /// # Safety
-    /// Those of `from` are initialised.
+    /// The options for discovery of `from` are initialised.
     pub(crate) unsafe fn copy_discovery(from: &rmw_init_options_t, to: &mut rmw_init_options_t) -> Result {
         // SAFETY: the caller's contract.
         unsafe {
@@ -248,7 +248,7 @@ mod humble {
     pub(crate) const LAST_SUBSCRIPTION_EVENT: rmw_event_type_t = RMW_EVENT_MESSAGE_LOST;
     pub(crate) const LAST_EVENT: rmw_event_type_t = RMW_EVENT_OFFERED_QOS_INCOMPATIBLE;
 
-    // Events that nobody can ask for.
+    // Events that this distribution does not have, so that none is requested.
     pub(crate) const RMW_EVENT_SUBSCRIPTION_INCOMPATIBLE_TYPE: rmw_event_type_t = RMW_EVENT_INVALID + 1;
     pub(crate) const RMW_EVENT_SUBSCRIPTION_MATCHED: rmw_event_type_t = RMW_EVENT_INVALID + 2;
     pub(crate) const RMW_EVENT_PUBLISHER_INCOMPATIBLE_TYPE: rmw_event_type_t = RMW_EVENT_INVALID + 3;
@@ -262,12 +262,12 @@ mod humble {
         pub(crate) current_count_change: i32,
     }
 
-    // Policies that no profile of rcl has. Each is the number after `UNKNOWN`, as later.
+    // Policies that no profile of this rcl has. As in later distributions, each is the number after `UNKNOWN`.
     pub(crate) const RMW_QOS_POLICY_RELIABILITY_BEST_AVAILABLE: u32 = 4;
     pub(crate) const RMW_QOS_POLICY_DURABILITY_BEST_AVAILABLE: u32 = 4;
     pub(crate) const RMW_QOS_POLICY_LIVELINESS_BEST_AVAILABLE: u32 = 5;
 
-    /// `ROS_LOCALHOST_ONLY` is so in any case.
+    /// Accepts all options: discovery is limited to this host, with or without `ROS_LOCALHOST_ONLY`.
     pub(crate) fn check_discovery(_: &rmw_init_options_t) -> Result {
         Ok(())
     }
@@ -279,7 +279,7 @@ mod humble {
 
     pub(crate) unsafe fn finish_discovery(_: &mut rmw_init_options_t) {}
 
-    /// Information on endpoints has none.
+    /// Does nothing: information on endpoints has no type hash.
     pub(crate) fn set_type_hash(_: &mut rmw_topic_endpoint_info_t, _: Option<&str>) -> rmw_ret_t {
         crate::bindings::RET_OK
     }

@@ -40,18 +40,18 @@ pub(crate) struct ReceivingEndpoint<P> {
     jobs: Arc<Jobs>,
     /// Called for new messages.
     callback: EventCallback,
-    /// Those that the publishing threads of this context call.
+    /// The listeners that the publishing threads of this context notify.
     listeners: Arc<Listeners>,
 }
 
-/// Where a port's rings go.
+/// The target of a port's rings.
 #[derive(Default)]
 struct WakeTarget {
-    /// Who waits, or waited last.
+    /// The waiter of the thread that waits, or waited last.
     to: Option<Arc<Waiter>>,
-    /// Whether publishers wake it.
+    /// Whether publishers wake the thread directly.
     is_direct: bool,
-    /// Where they go while no one waits, once there was a callback.
+    /// The target while no thread waits; set with the first callback.
     notifier: Option<Arc<NotifierWaker>>,
     /// Messages for which the callback was called so far.
     reported: u64,
@@ -106,7 +106,7 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
         if self.callback.is_set() {
             subscription.set_own_look(false);
         }
-        // Without room it is retried at the next wait.
+        // If the bell has no room, the next wait retries.
         if !(route.is_direct && route.to.as_ref().is_some_and(|to| Arc::ptr_eq(to, waiter))) {
             route.is_direct = subscription.wake_thread(waiter.bell());
             route.to = Some(waiter.clone());
@@ -114,7 +114,7 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
         subscription.wake_once(&Waker::from(waiter.clone()));
     }
 
-    /// After a wait: from here on the callback for new messages is called, if one is set. Otherwise rings still go to the
+    /// Ends a wait: from here on the callback for new messages is called, if one is set. Otherwise rings still go to the
     /// waiter, and the next wait sees them.
     ///
     /// # Real-time
@@ -122,13 +122,13 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
     pub(crate) fn detach(&self) {
         if self.callback.is_set() {
             self.route_to_notifier();
-            // The notifier calls for what came meanwhile.
+            // The notifier calls the callback for messages that arrived meanwhile.
             self.with(|port| ring(port.subscription()));
         }
     }
 
-    /// Routes the rings of other contexts to the notifier, if there is a callback; publishers of this context call it. Who still waits
-    /// is woken, and attaches again. Check the queue afterwards.
+    /// Routes the rings of other contexts to the notifier, if there is a callback; publishers of this context call it. A thread that still
+    /// waits is woken, and attaches again. The caller checks the queue afterwards.
     fn route_to_notifier(&self) {
         let (port, route) = &mut *self.side.lock();
         let subscription = port.subscription();

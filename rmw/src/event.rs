@@ -17,7 +17,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use tautline_rt::PiMutex;
 use tautline_sampler::{PublisherEvent, SubscriptionEvent};
 
-/// Kinds of events of both kinds of endpoints. Depending on the distribution, `RMW_EVENT_INVALID` comes after all or is 0.
+/// Number of event kinds of publishers and subscriptions. Depending on the distribution, `RMW_EVENT_INVALID` comes after all or is 0.
 const KINDS: usize = distro::LAST_EVENT as usize + 1;
 
 /// The events of one endpoint, by kind.
@@ -77,7 +77,7 @@ impl EventTarget {
 }
 
 impl Happened {
-    /// Makes the helper receive `events`, once: without this an endpoint's events cost nothing.
+    /// Makes the helper receive `events`, unless it does already. Without this an endpoint's events cost nothing.
     pub(crate) fn listen<S, E>(
         self: &Arc<Self>,
         helper: &Helper,
@@ -121,7 +121,7 @@ impl Happened {
             state.is_untaken = true;
             kind.begin(&mut state)
         };
-        // The callback comes first: a thread that takes the event has then been called for it.
+        // The callback is called before the signal is set, so that a wait finds only events that were reported.
         if let Some((call, count)) = call {
             call.run(count);
         }
@@ -244,7 +244,7 @@ pub(crate) fn signal_of(event: &rmw_event_t) -> Option<&Signal> {
     target.slot().ok().map(|(_, slot)| &slot.signal)
 }
 
-/// The targets of its events, one per kind: the endpoint owns them, because rmw does not free events.
+/// The targets of an endpoint's events, one per kind: the endpoint owns them, because rmw does not free events.
 pub(crate) struct Sources(Vec<EventTarget>);
 
 impl Sources {

@@ -49,7 +49,7 @@ fn check_allocator(allocator: &rcutils_allocator_t) -> Result {
     }
 }
 
-/// Checks what [`fill_names`] is to use, before anything is looked up.
+/// Checks the arguments of [`fill_names`], before the graph is read.
 fn check_names(place: &mut rmw_names_and_types_t, allocator: &rcutils_allocator_t) -> Result {
     check_allocator(allocator)?;
     // SAFETY: a valid list.
@@ -144,7 +144,7 @@ fn services<'g>(graph: &'g GraphSnapshot, kind: Option<ServiceKind>, node: Optio
     names
 }
 
-/// A node that exists.
+/// Returns the name of a node, or an error if it does not exist.
 fn node_of(graph: &GraphSnapshot, name: &str, namespace: &str) -> Result<NodeName> {
     let wanted = NodeName { namespace: namespace.to_owned(), name: name.to_owned() };
     match graph.nodes.iter().any(|node| node.name == wanted) {
@@ -261,7 +261,7 @@ exported! {
     }
 }
 
-/// Functions that list the names of one kind of one node.
+/// Defines functions that list names of one kind of a node.
 macro_rules! by_node {
     ($($function:ident($($unused:ident)?): $of:ident, $kind:expr;)*) => { exported! {$(
         fn $function(
@@ -287,7 +287,7 @@ by_node! {
     rmw_get_client_names_and_types_by_node(): services, ServiceKind::Client;
 }
 
-/// Functions with information on the endpoints of one kind on a topic.
+/// Defines functions that return information on the endpoints of one kind on a topic.
 macro_rules! by_topic {
     ($($function:ident: $kind:expr;)*) => { exported! {$(
         fn $function(
@@ -307,7 +307,7 @@ by_topic! {
     rmw_get_subscriptions_info_by_topic: EndpointKind::Subscription;
 }
 
-/// Functions that count what has a name.
+/// Defines functions that count the endpoints of a topic or service.
 macro_rules! counts {
     ($($function:ident: $of:ident, $kind:expr;)*) => { exported! {$(
         fn $function(

@@ -52,7 +52,7 @@ exported! {
         Ok(())
     }
 
-    /// Without an error it may be called in a signal handler.
+    /// May be called in a signal handler, unless it returns an error.
     fn rmw_trigger_guard_condition(guard: *const rmw_guard_condition_t => behind) {
         guard.signal.set();
         Ok(())

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Handles in ROS's hands: structs of librmw with a pointer to our data.
+//! The handles that ROS holds: structs of librmw with a pointer to our data.
 
 use crate::bindings::*;
 use crate::client::Client;
@@ -17,7 +17,7 @@ use tautline_transport::Gid;
 /// `rmw_get_implementation_identifier`.
 pub(crate) const IDENTIFIER: &CStr = c"rmw_tautline";
 
-/// Checks that this implementation created something.
+/// Checks that this implementation created `what`, which has this identifier.
 pub(crate) fn check_identifier(identifier: *const c_char, what: &str) -> Result {
     if identifier == IDENTIFIER.as_ptr() {
         return Ok(());
@@ -32,7 +32,7 @@ pub(crate) fn check_identifier(identifier: *const c_char, what: &str) -> Result 
     Err(Error::new(RET_INCORRECT_RMW_IMPLEMENTATION, text))
 }
 
-/// Checks the same of something that may be zero, as librmw's initialisers leave it.
+/// Like [`check_identifier`], for a struct that may be zero, as librmw's initialisers leave it.
 pub(crate) fn check_initialised(identifier: *const c_char, what: &str) -> Result {
     if identifier.is_null() {
         return Err(Error::invalid(format!("{what}: not initialised")));
@@ -40,7 +40,7 @@ pub(crate) fn check_initialised(identifier: *const c_char, what: &str) -> Result
     check_identifier(identifier, what)
 }
 
-/// Checks that it is zero.
+/// Checks that a struct with this identifier is zero.
 pub(crate) fn check_zero(identifier: *const c_char, what: &str) -> Result {
     let is_zero = identifier.is_null();
     if is_zero { Ok(()) } else { Err(Error::invalid(format!("{what}: initialised already"))) }
@@ -67,16 +67,16 @@ pub(crate) trait EndpointHandle: Handle + Default {
     /// Memory of librmw for a handle, or null.
     fn allocate() -> *mut Self;
 
-    /// Writes what all handles have.
+    /// Writes the fields that all handles have.
     fn set(&mut self, data: *mut c_void, name: *const c_char);
 
-    /// Takes the data out: the handle is then of no entity.
+    /// Takes the data out of the handle, which then belongs to no entity.
     fn take_data(&mut self) -> *mut c_void;
 
     /// Frees the handle and its text.
     ///
     /// # Safety
-    /// It was allocated by librmw's function for it and has its text from [`copy_text`], and is no longer used.
+    /// The handle was allocated by librmw's function for its type, has its text from [`copy_text`], and is no longer used.
     unsafe fn free(handle: *mut Self);
 }
 
@@ -168,7 +168,7 @@ pub(crate) unsafe fn behind_context<'h>(context: *const rmw_context_t) -> Result
     unsafe { context.impl_.cast::<Context>().as_ref() }.ok_or_else(is_none)
 }
 
-/// The handle of an endpoint of `node` with this name and data, and with what `fill` adds. The node owns it.
+/// Creates the handle of an endpoint of `node`, with this name and data; `fill` sets further fields. The node owns the handle.
 pub(crate) fn hand_out<H: EndpointHandle>(
     node: &Node,
     name: &str,
@@ -199,7 +199,7 @@ pub(crate) unsafe fn take_back<T>(data: *mut c_void) -> Box<T> {
     unsafe { Box::from_raw(data.cast()) }
 }
 
-/// An argument that is read.
+/// A pointer argument as a reference; an error if it is null.
 ///
 /// # Safety
 /// `value` is null or valid for reads.
@@ -208,12 +208,12 @@ pub(crate) unsafe fn given<'v, T>(value: *const T, what: &str) -> Result<&'v T> 
     unsafe { value.as_ref() }.ok_or_else(|| Error::null(what))
 }
 
-/// The address of a message of some type.
+/// The address of a message; an error if it is null.
 pub(crate) fn present<P: Copy + Default + PartialEq>(pointer: P, what: &str) -> Result<P> {
     if pointer == P::default() { Err(Error::null(what)) } else { Ok(pointer) }
 }
 
-/// A pointer for a result.
+/// A pointer to the place of a result, as a reference; an error if it is null.
 ///
 /// # Safety
 /// `place` is null or valid for writes.
@@ -238,10 +238,10 @@ pub(crate) unsafe fn text<'t>(text: *const c_char, what: &str) -> Result<&'t str
 type Validate = unsafe extern "C" fn(*const c_char, *mut c_int, *mut usize) -> rmw_ret_t;
 type Explain = unsafe extern "C" fn(c_int) -> *const c_char;
 
-/// A name that keeps to the rules of its kind.
+/// A name argument, checked by `validate`.
 ///
 /// # Safety
-/// As [`text`]. So are those below.
+/// As [`text`]. The same holds for the functions below.
 unsafe fn valid_name<'t>(
     name: *const c_char,
     what: &str,
@@ -282,7 +282,7 @@ pub(crate) unsafe fn full_name<'t>(name: *const c_char, what: &str) -> Result<&'
     unsafe { valid_name(name, what, validate, explain) }
 }
 
-/// The same, by ROS's rules unless the profile disables them.
+/// Like [`full_name`], without ROS's rules if the profile disables them.
 pub(crate) unsafe fn endpoint_name<'t>(
     name: *const c_char,
     what: &str,

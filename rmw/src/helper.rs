@@ -41,7 +41,7 @@ impl Wake for Ring {
     }
 }
 
-/// A thread that has no real-time priority, whatever thread starts it; the same nice value, if that has none either.
+/// Builds a thread without real-time priority, whatever thread starts it; if that has none either, its nice value is inherited.
 pub(crate) fn ordinary_thread(name: &str) -> std::result::Result<ThreadBuilder, RtError> {
     let builder = ThreadBuilder::new(name);
     Ok(match tautline_rt::current_policy()?.realtime_priority() {
@@ -62,7 +62,7 @@ impl Helper {
         Ok(Helper { events, tasks: Mutex::new(tasks), door, thread: Some(thread) })
     }
 
-    /// Wakes its tasks.
+    /// The sampler's events, which wake the helper's tasks.
     pub(crate) fn events(&self) -> &Events {
         &self.events
     }
@@ -72,11 +72,11 @@ impl Helper {
         // A panic ends only its task: the thread is needed by others.
         let task: Task = Box::new(move || {
             let task = AssertUnwindSafe(async move { make().await }).catch_unwind();
-            let said = |panic: Box<dyn Any + Send>| tracing::error!("{}", error::said(&*panic));
+            let said = |panic: Box<dyn Any + Send>| tracing::error!("{}", error::panic_text(&*panic));
             Box::pin(task.map(move |ended| ended.unwrap_or_else(said)))
         });
         let tasks = self.tasks.lock().unwrap_or_else(PoisonError::into_inner);
-        // Fails only after the thread has ended, when nothing needs service any more.
+        // Fails only after the thread has ended, when no task is needed any more.
         let _ = tasks.send(task);
         self.door.ring();
     }

@@ -21,33 +21,33 @@ pub(crate) struct Jobs {
     executor: Option<Arc<ForeignExecutor>>,
     counters: Arc<SubscriptionCounters>,
     depth: u64,
-    /// Whether the processor time of this process's callbacks is measured, also if nobody traces.
+    /// Whether the processor time of this process's callbacks is measured, also without tracing.
     is_measured: bool,
     /// Lost messages reported so far.
     noted: AtomicU64,
     /// The callback's rank, if its thread is to run the highest first.
     pub(crate) rank: Option<u8>,
-    /// The thread that the system file gives it.
+    /// The thread to which the system file assigns the callback.
     pub(crate) thread: Option<Arc<ThreadPlan>>,
-    /// When a thread first waited for it, where callbacks are measured; 0 before.
+    /// The time at which a thread first waited for the endpoint, where callbacks are measured; 0 before.
     awaited_ns: AtomicU64,
 }
 
 /// This thread's job.
 struct Job {
     jobs: Arc<Jobs>,
-    /// When its message was released; `None` if nobody waited for it then.
+    /// The release of its message; `None` if no thread had waited for the endpoint by then.
     released_ns: Option<u64>,
-    /// What the thread used for it until then: while it waited in vain, and since.
+    /// Processor time that the thread used before the job: in waits that no job followed, and since the last one.
     before_ns: Option<(u64, u64)>,
 }
 
-/// What this thread has used for its next job.
+/// Processor time that this thread has used for its next job.
 #[derive(Clone, Copy)]
 struct Before {
     /// In waits that no job followed.
     used_ns: u64,
-    /// The end of its last wait's time. After that the executor may have run a timer, whose time is no overhead.
+    /// The time limit of its last wait. After that the executor may have run a timer, whose execution time is no overhead.
     limit_ns: Option<u64>,
 }
 
@@ -56,7 +56,7 @@ impl Before {
         self.limit_ns.is_some_and(|limit_ns| now_ns >= limit_ns)
     }
 
-    /// At the start of a job; `None` if the executor may have run a timer before.
+    /// Returns and resets the times at the start of a job; `None` if the executor may have run a timer before.
     fn take(now_ns: u64) -> Option<(u64, u64)> {
         let before = BEFORE.try_with(|cell| cell.replace(Before { used_ns: 0, ..cell.get() })).ok()?;
         foreign::used_ns().filter(|_| !before.is_over(now_ns)).map(|used_ns| (before.used_ns, used_ns))
@@ -94,23 +94,23 @@ impl Jobs {
         }))
     }
 
-    /// Whether no thread has waited for it.
+    /// Whether no thread has waited for the endpoint.
     pub(crate) fn is_new(&self) -> bool {
         self.awaited_ns.load(Ordering::Relaxed) == 0
     }
 
-    /// A thread waits for it, since `now_ns`.
+    /// Records that a thread waits for the endpoint since `now_ns`.
     pub(crate) fn wait_for(&self, now_ns: u64) {
-        // Whoever came first.
+        // The first thread's time stays.
         let _ = self.awaited_ns.compare_exchange(0, now_ns, Ordering::Relaxed, Ordering::Relaxed);
     }
 
-    /// Whether nobody had waited for it when its message was released. That has waited for its program to spin, which no bound contains.
+    /// Whether no thread had waited for the endpoint when a message was released, so that it waited for its program to spin: in no bound.
     pub(crate) fn is_early(&self, released_ns: u64) -> bool {
         released_ns < self.awaited_ns.load(Ordering::Relaxed)
     }
 
-    /// This thread has now taken a message, released at `released_ns`, and runs the callback.
+    /// Begins a job: this thread has taken a message that was released at `released_ns`, and runs the callback.
     ///
     /// # Real-time
     /// A load if nobody traces or measures; else as [`ForeignCallback::begin`], with one syscall more where overheads are measured or callbacks
@@ -142,7 +142,7 @@ impl Jobs {
 }
 
 impl Jobs {
-    /// The endpoint is destroyed, which ends this thread's job with it.
+    /// Ends this thread's job of the endpoint, which is being destroyed.
     pub(crate) fn close(self: &Arc<Self>) {
         let is_mine =
             |running: &Option<Job>| running.as_ref().is_some_and(|job| Arc::ptr_eq(&job.jobs, self));
@@ -152,7 +152,7 @@ impl Jobs {
     }
 }
 
-/// The thread takes or waits, which ends its job. Returns whether there was one.
+/// Ends this thread's job, because the thread takes or waits. Returns whether there was one.
 ///
 /// # Real-time
 /// A load if nothing runs; else as [`ForeignCallback::end`], with one syscall where callbacks are only traced.
@@ -171,7 +171,7 @@ pub(crate) fn end() -> bool {
     true
 }
 
-/// The thread waits, at most for `timeout_ns`, which is used only where callbacks are measured or traced.
+/// Ends this thread's job and begins a wait of at most `timeout_ns`, which is used only where callbacks are measured or traced.
 ///
 /// # Real-time
 /// As [`end`]; one syscall more where callbacks are measured, if none has run.
@@ -191,7 +191,7 @@ pub(crate) fn wait(waits: &SamplerObject, timeout_ns: Option<u64>, is_measured: 
     }
 }
 
-/// The wait has ended: something is ready, or it timed out.
+/// Ends a wait: something is ready, or it timed out.
 ///
 /// # Real-time
 /// Two loads if nobody traces; else an event.

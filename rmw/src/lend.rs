@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Serialized messages that are samples: ROS gets the bytes in shared memory, and an allocator whose `deallocate` gives the sample back.
 //!
-//! rcutils copies allocators, so that of a lent message also gets requests for other memory, which it passes to the C library. An address
-//! tells them apart: a serialized message in a sample begins 4 bytes before a multiple of 64, and memory of the C library at a multiple
-//! of 16.
+//! rcutils copies allocators, so the allocator of a lent message also gets requests for other memory, which it passes to the C library.
+//! The address distinguishes the two: a serialized message in a sample begins 4 bytes before a multiple of 64, and memory of the C
+//! library at a multiple of 16.
 
 use crate::bindings::*;
 use std::ffi::c_void;
@@ -19,7 +19,7 @@ const LEAST_BYTES: usize = 16 << 10;
 const MOST_LENT: usize = crate::types::HELD / 2;
 /// How many messages are lent at a time in this process, at most.
 const SLOTS: usize = 1024;
-/// In how many slots an address is looked for.
+/// Number of slots that are searched for an address.
 const PROBES: usize = 16;
 
 static LENT: Table<Lent, SLOTS> = Table::new();
@@ -103,7 +103,7 @@ pub(crate) unsafe fn lend(
     Ok(())
 }
 
-/// Empties a lent message: a sample is not written to.
+/// Empties a lent message, because a sample must not be written to.
 pub(crate) fn give_back(message: &mut rmw_serialized_message_t) {
     if is_in_sample(message.buffer) && LENT.remove(message.buffer.addr()).is_some() {
         (message.buffer, message.buffer_length, message.buffer_capacity) = (null_mut(), 0, 0);
@@ -117,7 +117,7 @@ fn is_in_sample<T>(address: *const T) -> bool {
 
 type Deallocate = unsafe extern "C" fn(*mut c_void, *mut c_void);
 
-/// The C library's.
+/// The C library's allocator.
 fn system() -> rcutils_allocator_t {
     // SAFETY: a constant, whose functions are all there.
     unsafe { rcutils_get_default_allocator() }
@@ -135,7 +135,7 @@ unsafe extern "C" fn zero_allocate(count: usize, bytes: usize, state: *mut c_voi
 
 unsafe extern "C" fn deallocate(address: *mut c_void, state: *mut c_void) {
     if is_in_sample(address) {
-        // In a child that was forked meanwhile there may be none.
+        // A child that was forked meanwhile may not have the entry.
         drop(LENT.remove(address.addr()));
     } else if let Some(deallocate) = system().deallocate {
         // SAFETY: rcutils' contract: of this allocator, or, in `lend`, of the default one, which is the same.
@@ -162,8 +162,8 @@ unsafe extern "C" fn reallocate(address: *mut c_void, bytes: usize, state: *mut 
     copy
 }
 
-/// Values by address. Nobody waits: a slot is claimed before its value is locked. In a child that was forked while another thread was in
-/// here, that slot stays taken.
+/// Values by address. No thread waits: a slot is claimed before its value is locked. In a child that was forked while another thread
+/// used a slot, that slot stays taken.
 struct Table<T, const N: usize>([Slot<T>; N]);
 
 struct Slot<T> {
@@ -173,7 +173,7 @@ struct Slot<T> {
 }
 
 const FREE: usize = 0;
-/// Its value is being written or read out.
+/// The slot's value is being written or taken out.
 const CLAIMED: usize = 1;
 
 impl<T, const N: usize> Table<T, N> {

@@ -34,23 +34,23 @@ pub(crate) fn start() {
         ordinary_thread("rmw_log").and_then(|thread| thread.spawn(move || move || pass_on(&waiting)));
     if thread.is_ok() {
         let queue = Box::into_raw(Box::new(Queue { process: ProcessMark::new(), lines }));
-        // Release: pairs with the Acquire in `current`. A child leaves its parent's.
+        // Release: pairs with the Acquire in `current`. A forked child leaks its parent's queue.
         QUEUE.store(queue, Ordering::Release);
         let _ = tracing::subscriber::set_global_default(ToRos { left_out: AtomicU32::new(0) });
     }
 }
 
-/// Where this process's thread gets its lines.
+/// The queue of the lines that this process's thread logs.
 struct Queue {
     process: ProcessMark,
     lines: SyncSender<(u32, CString)>,
 }
 
-/// Stays as long as the process.
+/// Never freed.
 static QUEUE: AtomicPtr<Queue> = AtomicPtr::new(std::ptr::null_mut());
 
 impl Queue {
-    /// That of this process, and not of its parent.
+    /// The queue that this process created; `None` if only its parent did.
     fn current() -> Option<&'static Queue> {
         // SAFETY: null, or a queue that is never dropped.
         let queue = unsafe { QUEUE.load(Ordering::Acquire).as_ref() };
@@ -64,7 +64,7 @@ struct ToRos {
 
 fn pass_on(lines: &Receiver<(u32, CString)>) {
     for (severity, text) in lines {
-        // A forked child logs, too, with the locks of ROS's handlers.
+        // A forked child logs, too, and needs the locks of ROS's handlers.
         // SAFETY: NUL-terminated texts that outlive the call; the format takes one.
         without_forks(|| unsafe {
             let (name, format) = (c"rmw_tautline".as_ptr(), c"%s".as_ptr());

@@ -21,7 +21,7 @@ pub(crate) struct Node {
     pub(crate) full_name: String,
     /// Creates the node's entities.
     pub(crate) participant: Participant,
-    /// As the owner of endpoints in traces.
+    /// The node as the owner of endpoints in traces.
     pub(crate) traced: tautline_trace::Object,
     _handle: NodeHandle,
     graph_guard: *mut rmw_guard_condition_t,
@@ -29,13 +29,13 @@ pub(crate) struct Node {
     endpoints: Mutex<Vec<OwnedEndpoint>>,
 }
 
-/// A handle of ROS's, and what ends the endpoint behind it.
+/// A handle of ROS's, and the function that drops the endpoint behind it.
 struct OwnedEndpoint {
     handle: *mut c_void,
     end: unsafe fn(*mut c_void),
 }
 
-/// Ends the endpoint behind a handle of type `H`, which stays.
+/// Drops the endpoint behind a handle of type `H`; the handle stays.
 ///
 /// # Safety
 /// The handle is valid and ours, and its endpoint is no longer used.
@@ -55,12 +55,12 @@ impl Node {
         self.endpoints.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The endpoint ends with this node at the latest.
+    /// Takes ownership of an endpoint, which is dropped with this node at the latest.
     pub(crate) fn own<H: EndpointHandle>(&self, handle: *mut H) {
         self.endpoints().push(OwnedEndpoint { handle: handle.cast(), end: end::<H> });
     }
 
-    /// Destroys one of its endpoints.
+    /// Destroys one of the node's endpoints.
     ///
     /// # Safety
     /// As documented by rmw for each function that does.

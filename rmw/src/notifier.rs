@@ -29,7 +29,7 @@ struct Shared {
 
 type Served = (Weak<dyn Listener>, Arc<NotifierWaker>);
 
-/// Where the rings of an endpoint go while no thread waits for it: to the notifier.
+/// The target of an endpoint's rings while no thread waits for it: wakes the notifier.
 pub(crate) struct NotifierWaker {
     is_rung: AtomicBool,
     pub(crate) waiter: Arc<Waiter>,
@@ -84,7 +84,7 @@ impl Started {
     fn new(waiter: Arc<Waiter>) -> Result<Self> {
         let (priority, is_stopped) = Default::default();
         let shared = Arc::new(Shared { waiter, endpoints: PiMutex::new(Arc::new([])), priority, is_stopped });
-        // It has its starter's policy until it gets a priority: a process with a nice value may not lower that.
+        // The thread has its starter's policy until it gets a priority: a process with a nice value may not lower that value.
         let thread = ThreadBuilder::new("rmw_notifier").realtime(Realtime::Off);
         let served = shared.clone();
         let thread = thread.spawn(move || move || served.run()).map_err(Error::other)?;

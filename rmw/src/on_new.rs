@@ -2,15 +2,15 @@
 //! Callbacks for new messages, called by the publishing thread of the same context, without another thread in between.
 //!
 //! ```text
-//!  publishing thread                          who sets a callback
+//!  publishing thread                          thread that sets a callback
 //!  1 queue the message                        1 add the endpoint to the topic's listeners
 //!  2 fence                                    2 tell publishers of this context not to ring; fence
 //!  3 told not to ring? else ring              3 look into the queue
 //!  4 call the topic's listeners
 //! ```
 //!
-//! As with a ring, either the publisher does what the endpoint wants, or the endpoint sees the message. Publishers of other contexts
-//! ring, and the notifier calls.
+//! As with a ring, either the publisher calls the callback, or the endpoint sees the message in its queue. Publishers of other contexts
+//! ring, and the notifier calls the callback.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicUsize, Ordering, fence};
@@ -22,11 +22,11 @@ pub(crate) trait Listener: Send + Sync {
     /// Calls the callback for messages that were not reported yet.
     fn notify(&self);
 
-    /// The same in the notifier, which was rung, and is to be rung for the next message.
+    /// Like [`notify`](Self::notify), in the notifier after a ring; also routes the ring of the next message to the notifier.
     fn receive(&self);
 }
 
-/// The endpoints of a context that hear one topic and have a callback.
+/// The endpoints of a context that receive one topic and have a callback.
 pub(crate) struct Listeners {
     count: AtomicUsize,
     endpoints: PiMutex<Arc<[Weak<dyn Listener>]>>,
@@ -43,7 +43,7 @@ impl Listeners {
     /// One load without callbacks; else O(listeners), the callbacks themselves, and a wait for each thread that takes from a
     /// listener or adds one, which inherits this thread's priority.
     pub(crate) fn notify(&self) {
-        // Pairs with the fence in `change`: who was told not to ring sees the listener.
+        // Pairs with the fence in `change`: a publisher that was told not to ring sees the listener.
         fence(Ordering::Acquire);
         if self.count.load(Ordering::Relaxed) == 0 {
             return;

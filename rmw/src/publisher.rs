@@ -31,7 +31,7 @@ pub(crate) struct Publisher {
     matched: MatchedCount,
     /// Endpoints of this context whose callbacks are called after publishing.
     listeners: Arc<Listeners>,
-    /// The timer of the system file of which its messages tell.
+    /// The timer of the system file whose runs are recognised by this publisher's messages.
     timer: Option<Timer>,
     /// Used by one thread at a time.
     side: PiMutex<Publishing>,
@@ -80,7 +80,7 @@ impl Publisher {
     /// Like [`RawPublisher::loan`] of a publisher that claims memory on use, and [`RawLoan::publish`]: once the maximum of
     /// samples has been in flight, no allocation and no syscall except futex wakes. Waits for another thread in this publisher,
     /// which inherits this thread's priority. A keep-all publisher waits up to 100 ms for room; others may publish meanwhile. Then as
-    /// [`Listeners::tell`].
+    /// [`Listeners::notify`].
     fn publish(&self, len_bytes: usize, write: impl FnOnce(&mut [u8]) -> Result<usize>) -> Result {
         let side = self.side.lock();
         let mut loan = side.raw.loan(len_bytes)?;
@@ -119,7 +119,7 @@ impl Publisher {
         }
         let code = if matches!(unpublished.error, PublishError::Full) { RET_TIMEOUT } else { RET_BAD_ALLOC };
         let error = Error::new(code, unpublished.to_string());
-        // Returned under the lock.
+        // The loan is returned under the lock.
         drop(unpublished);
         drop(side);
         Err(error)

@@ -67,8 +67,8 @@ pub(crate) fn from_ros<'e>(
     role: EndpointRole,
     others: impl Iterator<Item = &'e TopicEndpoint> + Clone,
 ) -> Result<Qos> {
-    // A subscription requests what all publishers offer; a publisher offers what all subscriptions request, and the most where that is
-    // one; a service uses the service defaults.
+    // A subscription requests what all publishers offer; a publisher offers what all subscriptions request, and the strongest policy if
+    // policies are ordered; a service uses the service defaults.
     let others = others.filter(|end| match role {
         EndpointRole::Publisher => end.kind == EndpointKind::Subscription,
         EndpointRole::Subscription => end.kind == EndpointKind::Publisher,

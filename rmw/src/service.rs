@@ -58,7 +58,7 @@ impl Service {
 pub(crate) struct Depth {
     /// Queue depth, per client or server.
     pub(crate) room: usize,
-    /// How many in total are kept at a take, if the profile limits that.
+    /// Maximum of messages that are kept in total at a take, if the profile limits it.
     kept: u64,
 }
 
@@ -77,7 +77,7 @@ impl Depth {
         Ok((qos, Depth { room, kept }))
     }
 
-    /// Takes the oldest kept message. `lose` gets those before it.
+    /// Takes the oldest kept message. `lose` gets the messages before it.
     ///
     /// # Real-time
     /// Like `take`, at most once per waiting message.

@@ -31,7 +31,7 @@ impl Wakeable for Waiter {
 }
 
 impl Waiter {
-    /// What publishers ring, if they do.
+    /// The bell that publishers ring; `None` if the helper wakes the waiter.
     pub(crate) fn bell(&self) -> Option<&Arc<ThreadBell>> {
         match self {
             Waiter::Bell(bell) => Some(bell),

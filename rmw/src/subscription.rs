@@ -34,7 +34,7 @@ pub(crate) struct Subscription {
     received: AtomicU64,
     /// Loans that ROS reads in place.
     loans: PiMutex<Vec<RawSample>>,
-    /// Whether these are as many as there may be; written with them.
+    /// Whether `loans` has reached its limit; written together with it.
     is_full: AtomicBool,
     /// Serialized messages that are samples.
     lent: LentCount,
@@ -138,7 +138,7 @@ impl Subscription {
             return Err(Error::other(format!("it has {} bytes, not {len_bytes}", body.len())));
         }
         if !self.message_type.is_tidy(body) {
-            // This names the field.
+            // The error of `validate` names the field.
             DynamicMessage::validate(&self.message_type.schema, body, Endian::Little)
                 .map_err(Error::other)?;
         }
@@ -174,7 +174,7 @@ impl Subscription {
     ) -> Result<Option<rmw_message_info_t>> {
         let own = self.node.participant.id();
         self.take(|sample| {
-            // What this participant publishes it has mapped for writing.
+            // Samples of this participant's publishers are mapped for writing here, so they are copied.
             let is_own = sample.port_gid().participant() == own;
             // SAFETY: the caller's contract.
             match if is_own { Err(sample) } else { unsafe { lend(sample, message, &self.lent) } } {
@@ -185,7 +185,7 @@ impl Subscription {
     }
 }
 
-/// Writes what was taken, if anything was.
+/// Writes whether a message was taken, and its information.
 fn report_take(found: Option<rmw_message_info_t>, taken: &mut bool, info: Option<&mut rmw_message_info_t>) {
     *taken = found.is_some();
     if let (Some(found), Some(info)) = (found, info) {
@@ -263,7 +263,7 @@ exported! {
             lent: LentCount::default(),
             end: ReceivingEndpoint::new(node, raw, node.context().listeners.of(name))?,
         };
-        // What is not said of content filters is false.
+        // The fields for content filters stay false.
         hand_out(node, name, subscription, |handle: &mut rmw_subscription_t| {
             (handle.options, handle.can_loan_messages) = (*options, can_loan_messages);
         })

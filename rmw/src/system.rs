@@ -20,9 +20,9 @@ use tautline_transport::{History, Qos, Reliability};
 
 /// Topics that ROS's client libraries subscribe to for a node.
 const OF_EVERY_NODE: [&str; 2] = ["/parameter_events", "/clock"];
-/// Topics for which they have threads of their own.
+/// Topics for which client libraries have threads of their own.
 const OF_OTHER_THREADS: [&str; 3] = ["/clock", "/tf", "/tf_static"];
-/// Services that they make for it, below its name.
+/// Services that client libraries create for a node, below its name.
 const SERVICES_OF_EVERY_NODE: [&str; 9] = [
     "describe_parameters",
     "get_logger_levels",
@@ -35,10 +35,10 @@ const SERVICES_OF_EVERY_NODE: [&str; 9] = [
     "set_parameters_atomically",
 ];
 
-/// A system file as this process has it, if there is one, and this process's callback statistics.
+/// The system file as this process has loaded it, if there is one, and this process's callback statistics.
 pub(crate) struct System {
     domain: u32,
-    /// `None` also if it has no ROS callbacks of this host.
+    /// `None` also if the file has no ROS callbacks of this host.
     file: Option<LoadedSystem>,
     /// The ROS callbacks of this host.
     callbacks: Vec<CheckedCallback>,
@@ -48,20 +48,20 @@ pub(crate) struct System {
     /// `None`: it could not be created, and there is no file.
     statistics: Option<StatisticsFile>,
     overheads: Option<Overheads>,
-    /// The shortest time taken from a job's core that is recorded, if any is.
+    /// The shortest interval without the core that is recorded for a job, if any is.
     core_time: Option<Duration>,
     /// By name.
     made: Mutex<BTreeMap<String, Weak<ForeignCallback>>>,
 }
 
-/// A timer of ROS's, of which an RMW sees what it publishes.
+/// A timer of ROS's, which an RMW recognises only by what it publishes.
 pub(crate) struct Timer {
     measured: Arc<ForeignCallback>,
     thread: Option<Arc<ThreadPlan>>,
 }
 
 impl Timer {
-    /// It has published in this thread.
+    /// Records that the timer has published in this thread.
     ///
     /// # Real-time
     /// As [`govern`](thread::govern) and [`ForeignCallback::publish`].
@@ -99,7 +99,7 @@ impl Overheads {
 }
 
 impl System {
-    /// From the environment. A file is checked beside what runs in the domain, which this process has joined.
+    /// Loads the environment's system file. It is admitted together with what runs in the domain, which this process has joined.
     pub(crate) fn of_environment(domain: u32) -> Result<Self> {
         let path = std::env::var_os("TAUT_SYSTEM").filter(|path| !path.is_empty());
         let file = path.map(|path| Self::read(path.as_ref())).transpose()?.flatten();
@@ -157,7 +157,7 @@ impl System {
         self.file.is_some() || self.overheads.is_some()
     }
 
-    /// Where the overhead is recorded that the executor has with what `node` does with messages of `topic`; `None` if it is not measured.
+    /// The record of the executor's overhead with the callback of `node` for messages of `topic`; `None` if it is not measured.
     pub(crate) fn executor(&self, node: &str, topic: &str) -> Result<Option<Arc<ForeignExecutor>>> {
         let (Some(overheads), Some(statistics)) = (&self.overheads, &self.statistics) else {
             return Ok(None);
@@ -178,7 +178,7 @@ impl System {
         Ok(Some(executors.entry(library).or_insert(Arc::new(executor)).clone()))
     }
 
-    /// The file's entry for what `node`, a full name, does with messages of `topic`.
+    /// The index of the file's entry for the callback of `node`, a full name, for messages of `topic`.
     fn entry(&self, node: &str, topic: &str) -> Option<usize> {
         let short = node.rsplit('/').next().unwrap_or(node);
         let of = |name: &str| {
@@ -190,7 +190,7 @@ impl System {
         of(node).or_else(|| of(short))
     }
 
-    /// The thread that is to run a callback, of the file or of a node with timers alone, and the callback's rank if that runs the highest first.
+    /// The thread of a callback, if the callback or its node's timers are in the file, and its rank, if the thread runs the highest first.
     pub(crate) fn place(&self, node: &str, topic: &str) -> (Option<Arc<ThreadPlan>>, Option<u8>) {
         match self.entry(node, topic) {
             Some(index) => (self.threads[index].clone(), self.callbacks[index].entry.rank),
@@ -199,8 +199,8 @@ impl System {
         }
     }
 
-    /// The thread of `node`, a full name, if the file has only timers of it, all in this thread: whoever waits for anything of the node,
-    /// but for [`OF_OTHER_THREADS`], runs them.
+    /// The thread of `node`, a full name, if the file has only timers of it, all in this thread: a thread that waits for any endpoint of
+    /// the node, except [`OF_OTHER_THREADS`], runs them.
     fn thread_of_timers(&self, node: &str) -> Option<&Arc<ThreadPlan>> {
         let all = || self.callbacks.iter().zip(&self.threads).filter(|(of, _)| Self::is_of(of, node));
         let (first, thread) = all().next()?;
@@ -209,7 +209,7 @@ impl System {
         thread.as_ref().filter(|_| all().all(|(of, _)| is_alike(of)))
     }
 
-    /// Names what the file does not know of a node that it has: what that costs is in no bound.
+    /// Warns of a callback that the file does not list although it lists the node: its execution time is in no bound.
     fn warn_of_unlisted(&self, node: &str, topic: &str) {
         let is_known = || self.callbacks.iter().any(|callback| Self::is_of(callback, node));
         let own =
@@ -224,8 +224,8 @@ impl System {
         }
     }
 
-    /// The depth of a subscription's keep-last queue: of a reliable one as the file says, if it says so. A shorter one than the analysis needs
-    /// is warned of.
+    /// Sets the depth of a reliable subscription's keep-last queue to that of the file, if stated. Logs a warning if a keep-last queue is
+    /// shorter than the analysis needs.
     pub(crate) fn set_depth(&self, node: &str, topic: &str, qos: &mut Qos) {
         let (Some(file), Some(index)) = (&self.file, self.entry(node, topic)) else { return };
         if qos.history != History::KeepLast {
@@ -253,7 +253,7 @@ impl System {
         }
     }
 
-    /// Checks a callback of the file that is about to be made: that its thread may have its priority, and its load if it runs elsewhere already.
+    /// Checks a callback of the file before it is created: that its thread may have its priority, and that the domain admits it.
     fn admit(&self, plan: &ThreadPlan, name: &str) -> Result<Option<Gate>> {
         plan.check_permission()?;
         let Some(file) = self.file.as_ref().filter(|_| self.admission != Admission::Off) else {
@@ -268,7 +268,7 @@ impl System {
         Ok(Some(gate))
     }
 
-    /// Whether threads get what the file states.
+    /// Whether threads get the priority and core that the file states.
     pub(crate) fn is_governing(&self) -> bool {
         self.threads.iter().any(Option::is_some)
     }
@@ -287,17 +287,17 @@ impl System {
         self.callbacks.iter().enumerate().filter(move |(_, of)| publishes(of)).map(|(index, _)| index)
     }
 
-    /// Whether a callback is a timer that alone publishes `topic` in `node`, a full name, and this as its first topic: an RMW sees nothing else of it.
-    fn is_told_by(&self, index: usize, node: &str, topic: &str) -> bool {
+    /// Whether a callback is a timer that publishes `topic` first, as the only one in `node`, a full name: an RMW sees nothing else of it.
+    fn identifies(&self, index: usize, node: &str, topic: &str) -> bool {
         let entry = &self.callbacks[index].entry;
         let is_first = entry.topics.is_empty() && entry.publishes.first().is_some_and(|of| of == topic);
         is_first && self.publishers(node, topic).eq([index])
     }
 
-    /// The timer of the file that the messages of `node`, a full name, on `topic` tell of.
+    /// The timer of the file that is recognised by the messages of `node`, a full name, on `topic`.
     pub(crate) fn timer(&self, node: &str, topic: &str) -> Result<Option<Timer>> {
         let (Some(file), Some(statistics)) = (&self.file, &self.statistics) else { return Ok(None) };
-        let Some(index) = self.publishers(node, topic).find(|index| self.is_told_by(*index, node, topic))
+        let Some(index) = self.publishers(node, topic).find(|index| self.identifies(*index, node, topic))
         else {
             return Ok(None);
         };
@@ -306,7 +306,7 @@ impl System {
         // Without a thread of the file it is only measured.
         let policy = thread.as_ref().map_or(CallbackOptions::other().policy, |_| options.policy);
         let options = CallbackOptions { policy, ..options }.execution_time(false);
-        let measured = self.made(&options.name, || {
+        let measured = self.find_or_create(&options.name, || {
             let _gate = thread.as_ref().map(|plan| self.admit(plan, &options.name)).transpose()?;
             ForeignCallback::by_publications(statistics, &options)
                 .map_err(|error| unshared(&options.name, &error))
@@ -314,7 +314,7 @@ impl System {
         Ok(Some(Timer { measured, thread }))
     }
 
-    /// Names threads of `node`, a full name, that nothing tells of: they have timers alone.
+    /// Warns of threads of `node`, a full name, that an RMW cannot recognise, because they run only timers.
     pub(crate) fn warn_of_unseen(&self, node: &str) {
         if self.thread_of_timers(node).is_some() {
             return;
@@ -326,7 +326,7 @@ impl System {
                 let topic = of.entry.publishes.first();
                 of.entry.thread == entry.thread
                     && (!of.entry.topics.is_empty()
-                        || topic.is_some_and(|topic| self.is_told_by(index, node, topic)))
+                        || topic.is_some_and(|topic| self.identifies(index, node, topic)))
             };
             let is_first = self.callbacks[..index].iter().all(|of| of.entry.thread != entry.thread);
             if is_first && Self::is_of(callback, node) && !self.callbacks.iter().enumerate().any(is_told) {
@@ -341,8 +341,8 @@ impl System {
         }
     }
 
-    /// The statistics of this name, which are made if there are none.
-    fn made(
+    /// The statistics of this name, which are created if there are none.
+    fn find_or_create(
         &self,
         name: &str,
         make: impl FnOnce() -> Result<ForeignCallback>,
@@ -357,7 +357,7 @@ impl System {
         Ok(callback)
     }
 
-    /// The statistics of what `node`, a full name, does with messages of `topic`, under its name in the file. Equal names there
+    /// The statistics of the callback of `node`, a full name, for messages of `topic`, under its name in the file. Equal names there
     /// are one callback, even with several topics.
     ///
     /// Without a file, services and clients are not measured, because that takes memory and most nodes have seven unused ones;
@@ -386,7 +386,7 @@ impl System {
         let Some(statistics) = self.statistics.as_ref().filter(|_| is_named || is_topic) else {
             return Ok((options.name, None));
         };
-        let callback = self.made(&options.name, || {
+        let callback = self.find_or_create(&options.name, || {
             let _gate = plan.map(|plan| self.admit(plan, &options.name)).transpose()?;
             ForeignCallback::new(statistics, &options)
                 .and_then(|callback| callback.account_core_time(self.core_time))

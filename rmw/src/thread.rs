@@ -11,27 +11,27 @@ use tautline_executor::foreign;
 use tautline_rt::fork::{ProcessMark, ProcessMutex};
 use tautline_rt::{CoreSet, MemoryLock, Policy, RtError, ThreadBuilder, prove_enforcement};
 
-/// What the file states of a thread.
+/// A thread as the system file states it.
 #[derive(Debug)]
 pub(crate) struct ThreadPlan {
-    /// Its name in the file, which no other has: `cb:` and the callback or group.
+    /// Its unique name in the file: `cb:` and the callback or group.
     pub(crate) name: String,
     pub(crate) priority: u8,
     core: usize,
-    /// Whether a callback of it is held to its budget, which then has the thread for itself.
+    /// Whether the thread's callback is held to its budget; it is then the only callback of the thread.
     holds: bool,
-    /// The last thread that became it; 0: none.
+    /// The last thread to which this plan was applied; 0: none.
     tid: AtomicU32,
 }
 
 thread_local! {
-    /// What this thread has, in the process that gave it: a forked child's thread is ordinary.
+    /// The plan applied to this thread, and the process that applied it: a forked child's thread is ordinary.
     static APPLIED: RefCell<Option<(ProcessMark, Arc<ThreadPlan>)>> = const { RefCell::new(None) };
 }
 
 /// Whether memory is locked.
 static IS_PREPARED: ProcessMutex<bool> = ProcessMutex::new(false, || false);
-/// Whether a wait for several threads' callbacks was warned of.
+/// Whether a warning was logged about an executor that runs callbacks of several threads.
 static IS_WARNED: AtomicBool = AtomicBool::new(false);
 
 impl ThreadPlan {
@@ -48,7 +48,7 @@ impl ThreadPlan {
         ))
     }
 
-    /// Whether a thread may have its priority and its core, by one that has them for a moment, and be held to its budget there.
+    /// Checks whether a thread may have the priority and core, by a thread that has them for a moment, and may be held to its budget there.
     pub(crate) fn check_permission(&self) -> Result {
         let probe =
             ThreadBuilder::new("rt-probe").policy(Policy::Fifo(self.priority)).cores(CoreSet::one(self.core));
@@ -60,7 +60,7 @@ impl ThreadPlan {
         is_permitted.map_err(|error| self.refused(error))
     }
 
-    /// Gives this thread its priority and core, and reads both back. What it starts is ordinary again.
+    /// Gives this thread its priority and core, and reads both back. Threads that it starts are ordinary again.
     fn apply(&self) -> Result {
         let refuse = |error| self.refused(error);
         prepare().map_err(refuse)?;
@@ -81,7 +81,7 @@ impl ThreadPlan {
     }
 }
 
-/// Before the first thread is governed: memory stays in place, and what was freed is used again.
+/// Prepares the process for the first governed thread: memory is locked, and freed memory is reused.
 fn prepare() -> std::result::Result<(), RtError> {
     let mut is_prepared = IS_PREPARED.lock();
     if !*is_prepared {
@@ -92,8 +92,8 @@ fn prepare() -> std::result::Result<(), RtError> {
     Ok(())
 }
 
-/// Makes this thread the one that all `wanted` name. If they name several, it is the one with the highest priority, and a warning names two.
-/// A thread never gets a lower priority than it got here before.
+/// Applies the plan that all `wanted` name to this thread. If they name several, the one with the highest priority is applied, and a
+/// warning names two. A thread never gets a lower priority than it got here before.
 ///
 /// # Real-time
 /// O(wanted); no syscall and no allocation if the thread is that already.
@@ -127,7 +127,7 @@ fn warn_of_two(plan: &ThreadPlan, other: &ThreadPlan) {
     }
 }
 
-/// Makes this thread the one that `plan` describes, unless it has that priority or a higher one already. Returns whether it was not.
+/// Applies `plan` to this thread, unless one of that priority or a higher one was applied before. Returns whether it was applied.
 fn become_thread(plan: &Arc<ThreadPlan>) -> Result<bool> {
     let is_applied = |applied: &RefCell<Option<(ProcessMark, Arc<ThreadPlan>)>>| {
         let applied = applied.borrow();
@@ -152,21 +152,21 @@ fn note_applied(plan: &Arc<ThreadPlan>) {
     let _ = APPLIED.try_with(|applied| applied.replace(Some((ProcessMark::new(), plan.clone()))));
 }
 
-/// Governs a thread that is seen to run a callback, because it has published what only this callback publishes. Returns whether it was not
-/// governed before.
+/// Governs this thread, which runs a callback, as it has taken its message or published what only this callback publishes. Returns whether
+/// the plan was applied now.
 ///
 /// # Real-time
 /// As [`govern`].
 pub(crate) fn govern_runner(plan: &Arc<ThreadPlan>) -> bool {
     become_thread(plan).unwrap_or_else(|error| {
         tracing::warn!("thread {} stays as it is: {error:?}", tautline_rt::current_tid());
-        // Said once.
+        // Logged once.
         note_applied(plan);
         false
     })
 }
 
-/// Governs a thread that has taken a callback's message. Usually it has waited for it, and this does nothing.
+/// Governs this thread, which has taken a callback's message. Usually it has waited for it, and this does nothing.
 ///
 /// # Real-time
 /// As [`govern`].

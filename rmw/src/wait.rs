@@ -65,7 +65,7 @@ impl Array<'_> {
         self.0.iter().filter_map(|one| unsafe { one.cast::<T>().as_ref() })
     }
 
-    /// How many come before the first one that is ready.
+    /// The number of entities before the first one that is ready.
     ///
     /// # Safety
     /// As [`all`](Self::all).
@@ -98,7 +98,7 @@ struct WaitEntities<'a> {
     events: Array<'a>,
 }
 
-/// What a look has found to have no message: so many from the start of each array. They are not looked at again.
+/// For each array, the number of entities from its start that the last check found without a message. They are not checked again.
 #[derive(Clone, Copy, Default)]
 struct Idle {
     subscriptions: usize,
@@ -133,7 +133,7 @@ impl WaitEntities<'_> {
         self.guards().map(|guard| &*guard.signal).chain(events)
     }
 
-    /// Looks until something is ready. Returns what is not, and whether something is.
+    /// Checks entities until one is ready. Returns those that are not, and whether one is.
     ///
     /// # Real-time
     /// O(entities); no allocation; no syscall, except one futex wake for memory that is not mapped here yet. Waits for threads
@@ -174,7 +174,7 @@ impl WaitEntities<'_> {
     /// Lets new messages wake `waiter`, once.
     ///
     /// # Real-time
-    /// As [`End::attach`](crate::end::End::attach), for each.
+    /// As [`ReceivingEndpoint::attach`](crate::end::ReceivingEndpoint::attach), for each.
     fn attach_data(&self, waiter: &Arc<Waiter>) {
         self.subscriptions().for_each(|subscription| subscription.end().attach(waiter));
         self.services().for_each(|service| service.end().attach(waiter));
@@ -213,7 +213,7 @@ impl WaitEntities<'_> {
         subscriptions.chain(services).chain(self.clients().map(|one| one.end().jobs()))
     }
 
-    /// Makes this thread the one that is to run the callbacks. Where they are new it waits for them from then on.
+    /// Makes this thread the one that runs the callbacks, and records the first wait for each of them.
     ///
     /// # Real-time
     /// As [`thread::govern`].
@@ -228,10 +228,10 @@ impl WaitEntities<'_> {
         Ok(())
     }
 
-    /// Keeps ready entities, of those with messages only the ones with the highest rank, and resets guard conditions. The others stay
-    /// ready for the next wait, as does what was idle at the last look. Returns whether there are any.
+    /// Keeps ready entities, of those with messages only the ones with the highest rank, and resets guard conditions. The next wait finds
+    /// the others, and those that were idle at the last check. Returns whether any entity is ready.
     fn report(&mut self, idle: Idle) -> bool {
-        // Those without a rank are below all others. What is below one that is ready is not looked at.
+        // Entities without a rank are below all others. Entities below a ready one are not checked.
         let mut highest = None;
         let mut is_candidate = |rank: Option<u8>, has_data: &dyn Fn() -> bool| {
             let is_it = rank >= highest && has_data();

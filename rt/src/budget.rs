@@ -10,9 +10,9 @@
 //! ```
 //!
 //! The alarm is the kernel's high-resolution timer, and not its processor-time timer, whose ticks are milliseconds. Where that does not
-//! reach a busy thread it is the [enforcer](crate::enforcer)'s: see [`prove_enforcement`](crate::prove_enforcement). If other threads
+//! reach a busy thread, the [enforcer](crate::enforcer) provides the alarm: see [`prove_enforcement`](crate::prove_enforcement). If others
 //! preempt the thread, the timer may fire while budget is left. The thread then gets one more signal each time; the alarm is set for the
-//! rest of the budget, or for 50 µs: by so much more than the alarm itself a thread is demoted late at most.
+//! rest of the budget, or for 50 µs: a demotion is later than the alarm itself by at most that.
 
 use std::cell::Cell;
 use std::io;
@@ -55,7 +55,7 @@ struct HandlerState {
 }
 
 impl HandlerState {
-    /// That of this process. Also for signal handlers.
+    /// Returns the alarm, if it was made in this process. May be called in signal handlers.
     fn alarm(&self) -> Alarm {
         match self.process.get() {
             Some(process) if process.is_here() => self.alarm.get(),
@@ -106,17 +106,17 @@ pub struct RemainingBudget {
 #[derive(Debug)]
 pub struct OwnPriority {
     is_round_robin: bool,
-    /// The kernel's flag for threads that start ordinary threads, which one without privileges cannot clear.
+    /// The kernel's flag for threads that start ordinary threads, which a thread without privileges cannot clear.
     flags: libc::c_int,
     priority: AtomicU8,
     /// Set before the thread lowers its own priority, and cleared before it gets its priority back.
     lowered: AtomicBool,
-    /// What enforces the thread's budgets, once something does.
+    /// What enforces the thread's budgets, once it has a `BudgetTimer`.
     enforced: OnceLock<Enforcement>,
 }
 
 impl OwnPriority {
-    /// How often the thread may change its policy itself while it is being changed.
+    /// How often a change is repeated, because the thread has changed its policy itself meanwhile.
     const TRIES: u32 = 1_000;
 
     /// The priority of a thread with this policy. A thread without a priority gets `SCHED_FIFO` if it is
@@ -131,7 +131,7 @@ impl OwnPriority {
         }
     }
 
-    /// That of a thread that got it with [`set_own_priority`](crate::set_own_priority): what it starts is ordinary.
+    /// The priority of a thread that got it with [`set_own_priority`](crate::set_own_priority): threads that it starts are ordinary.
     pub fn with_ordinary_children(policy: Policy) -> OwnPriority {
         OwnPriority { flags: libc::SCHED_RESET_ON_FORK, ..OwnPriority::new(policy) }
     }
@@ -145,10 +145,10 @@ impl OwnPriority {
         if self.is_round_robin { Policy::RoundRobin(priority) } else { Policy::Fifo(priority) }
     }
 
-    /// The thread's own way back to its priority, which may change meanwhile.
+    /// Restores the thread's own priority, which other threads may change meanwhile.
     fn resume(&self) {
         self.lowered.store(false, Ordering::SeqCst);
-        // Whoever changes it later sets it, too.
+        // A thread that changes the priority later sets the policy, too.
         for _ in 0..8 {
             let policy = self.policy();
             if !schedule(policy, self.flags) || self.policy() == policy {
@@ -176,13 +176,13 @@ impl OwnPriority {
         let changed = self.settle(tid);
         if changed.is_err() {
             self.priority.store(former, Ordering::SeqCst);
-            // What it has now may be the former one already.
+            // The thread may have its former policy already.
             let _ = self.settle(tid);
         }
         changed
     }
 
-    /// Sets what the thread is to have, until it has not changed that itself meanwhile. If it does so later, then by what is stored here.
+    /// Sets the thread's policy, again if the thread has changed it meanwhile. The thread's later changes use the stored priority.
     fn settle(&self, tid: u32) -> Result<(), RtError> {
         let mut outcome = Ok(());
         for _ in 0..Self::TRIES {
@@ -257,7 +257,7 @@ impl BudgetTimer {
                 Enforcement::Enforcer => Alarm::Enforcer(enforcer::Alarm::take()),
             };
             let _ = own.enforced.set(by);
-            // A forked child has its parent's.
+            // In a forked child these still hold the parent's values.
             state.end_ns.store(0, Ordering::Relaxed);
             state.refill_ns.store(0, Ordering::Relaxed);
             state.demoted.store(false, Ordering::Relaxed);
@@ -410,7 +410,7 @@ fn create_timer(signal: libc::c_int) -> Option<libc::timer_t> {
     (made == 0).then_some(timer)
 }
 
-/// Lets the alarm go off once, so much later, which is when the budget may be used up; 0: never.
+/// Sets the alarm to go off once, `after_ns` from now, which is when the budget may be used up; 0: never.
 fn set(state: &HandlerState, after_ns: u64) {
     let timer = match state.alarm() {
         Alarm::None => return,
@@ -428,7 +428,7 @@ fn set(state: &HandlerState, after_ns: u64) {
 }
 
 fn demote(state: &HandlerState) {
-    // SAFETY: set by `BudgetTimer::new` to what that keeps, and to null before it lets go of it, in this thread.
+    // SAFETY: `BudgetTimer` sets it to an object that it keeps alive, and to null before it releases that object, in this thread.
     let Some(own) = (unsafe { state.own.get().as_ref() }) else { return };
     own.lowered.store(true, Ordering::SeqCst);
     if schedule(Policy::Other { nice: 0 }, own.flags) {
@@ -438,7 +438,7 @@ fn demote(state: &HandlerState) {
     }
 }
 
-/// Sleeps until the next refill, in the signal handler. No longer than until then: who sets the time bounds it.
+/// Sleeps until the next refill, in the signal handler. The code that sets the time of the refill bounds the sleep.
 fn suspend(state: &HandlerState, budget_ns: u64) {
     state.suspended.store(true, Ordering::Relaxed);
     let at_ns = state.refill_at_ns.load(Ordering::Relaxed);
@@ -481,7 +481,7 @@ fn schedule(policy: Policy, flags: libc::c_int) -> bool {
     unsafe { libc::syscall(libc::SYS_sched_setscheduler, 0, class | flags, &raw const param) == 0 }
 }
 
-/// The process's signal for this, with its handler.
+/// Returns the signal of the process's budget timers, with its handler installed.
 pub(crate) fn signal() -> Result<libc::c_int, RtError> {
     static SIGNAL: OnceLock<Option<libc::c_int>> = OnceLock::new();
     let none = || RtError::Kernel {
@@ -493,7 +493,7 @@ pub(crate) fn signal() -> Result<libc::c_int, RtError> {
         .ok_or_else(none)
 }
 
-/// Takes a signal that has no handler.
+/// Installs the handler for a signal that has none; returns whether it did.
 fn claim(signal: libc::c_int) -> bool {
     // SAFETY: zeroed sigactions are valid; all pointers outlive the calls; the handler may be called at any time.
     unsafe {
@@ -528,7 +528,7 @@ extern "C" fn fired(_: libc::c_int) {
                 budget_ns => suspend(state, budget_ns),
             },
             left_ns => {
-                // What this handler has used is not the job's.
+                // The processor time of this handler is not charged to the job.
                 state.end_ns.store(thread_cpu_ns().saturating_add(left_ns), Ordering::Relaxed);
                 set(state, left_ns.max(enforcer::LEAST_LOOK_NS));
             }

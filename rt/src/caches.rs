@@ -9,16 +9,16 @@ use std::sync::OnceLock;
 /// The sizes of the caches on the way of a buffer from one core to another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Caches {
-    /// Of the second level, which is a core's own on most processors.
+    /// The second level, which is a core's own on most processors.
     pub l2_bytes: usize,
-    /// Of the third level; 0 if there is none.
+    /// The third level; 0 if there is none.
     pub l3_bytes: usize,
 }
 
-/// Of machines whose kernel knows nothing of caches.
+/// The sizes assumed on machines whose kernel does not describe the caches.
 const UNKNOWN: Caches = Caches { l2_bytes: 512 << 10, l3_bytes: 8 << 20 };
 
-/// What is at least so long is copied by [`copy_to_shared`] in one instruction.
+/// [`copy_to_shared`] copies this length and more in one instruction.
 const LONG_BYTES: usize = 256 << 10;
 
 impl Caches {
@@ -46,7 +46,7 @@ impl Caches {
     }
 }
 
-/// As the kernel writes sizes: `1024K`.
+/// Parses a size as the kernel writes it: `1024K`.
 fn bytes(text: &str) -> Option<usize> {
     let (number, unit) = match text.strip_suffix(['K', 'M', 'G']) {
         Some(number) => (number, 10 * (1 + "KMG".find(&text[number.len()..])?)),

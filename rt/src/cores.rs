@@ -62,7 +62,7 @@ impl CoreSet {
     /// # Errors
     /// [`RtError::Spawn`] or [`RtError::Kernel`] if the short-lived thread that queries the kernel fails.
     pub fn allowed() -> Result<CoreSet, RtError> {
-        // The kernel cuts what it is asked for down to the cpuset: ask for everything and read back.
+        // The kernel reduces the requested cores to the cpuset: request all of them and read back.
         let probe = || {
             let online = host::online_cores()?;
             bind(None, online).map_err(|source| RtError::Kernel { what: "sched_setaffinity", source })?;
@@ -106,7 +106,7 @@ impl CoreSet {
     /// # Errors
     /// [`RtError::NoCores`] and [`RtError::UnknownCore`], which name the cores that exist.
     pub fn check(&self) -> Result<(), RtError> {
-        /// When first asked. The kernel refuses what has gone since, for it has the last word when a thread is bound.
+        /// The online cores at the first check. The kernel refuses cores that went offline since, when a thread is bound to them.
         static ONLINE: OnceLock<CoreSet> = OnceLock::new();
         if self.beyond == 0 && !self.is_empty() && ONLINE.get().is_some_and(|online| self.is_within(online)) {
             return Ok(());

@@ -67,7 +67,7 @@ pub fn set_scope(name: &str) -> Result<(), ScopeError> {
     }
 }
 
-/// Puts a process of tests into the scope `name`, in which no user's programs are, unless whoever runs them has chosen one. Returns the
+/// Puts a process of tests into the scope `name`, in which no user's programs are, unless `TAUT_SCOPE` is set. Returns the
 /// process's scope.
 ///
 /// # Panics
@@ -75,7 +75,7 @@ pub fn set_scope(name: &str) -> Result<(), ScopeError> {
 #[doc(hidden)]
 pub fn test_scope(name: &str) -> &'static str {
     if std::env::var_os(VARIABLE).is_none() {
-        // Refused to a process that is in another one.
+        // Refused if the process is in another scope.
         let _ = set_scope(name);
     }
     scope().unwrap().unwrap()

@@ -26,7 +26,7 @@ crate::names!(Enforcement: Display {
 #[derive(Debug, Clone, Copy)]
 struct Proven {
     by: Enforcement,
-    /// Below which priority.
+    /// The priority below which budgets are enforced.
     below: u8,
 }
 
@@ -47,7 +47,7 @@ const ENFORCER_PATIENCE: Duration = Duration::from_millis(200);
 
 /// Proves that budgets of threads below `SCHED_FIFO` priority `below` are enforced: starts a thread just below that priority which never
 /// sleeps, gives it a budget, and sees whether it is demoted. First with its own timer; if that does not reach it, with the enforcer,
-/// which then runs at priority `below`. Returns what works, and keeps to it in this process, where all [`BudgetTimer`]s use it.
+/// which then runs at priority `below`. Returns what works: later [`BudgetTimer`]s of this process use it, and the enforcer stays chosen.
 ///
 /// # Real-time
 /// Setup only. The proof takes 0.1 ms of a core at that priority, and 2 ms more where timers do not work; once in a process for each
@@ -83,7 +83,7 @@ pub fn prove_enforcement_by(by: Enforcement, below: u8) -> Result<(), RtError> {
 }
 
 impl State {
-    /// False: a timer did not fire in time.
+    /// Proves one kind of enforcement, and records it. False: a timer did not fire in time.
     fn prove(&mut self, by: Enforcement, below: u8) -> Result<bool, RtError> {
         if by == Enforcement::Enforcer {
             self.outrank(below)?;
@@ -101,7 +101,7 @@ impl State {
         Ok(has_fired)
     }
 
-    /// Has the enforcer run at this priority, or at a higher one.
+    /// Makes the enforcer run at this priority, or at a higher one.
     fn outrank(&mut self, priority: u8) -> Result<(), RtError> {
         if Policy::Fifo(priority).check().is_err() {
             return Err(RtError::BudgetNotEnforced { by: Enforcement::Enforcer, below: priority });

@@ -20,13 +20,13 @@ use crate::futex::kernel::FutexWord;
 use crate::{CoreSet, Policy, RtError, ThreadBuilder};
 
 const NEVER: u64 = u64::MAX;
-/// A thread is looked at again after so long at the earliest: while it waits, its budget stays as it is, and each look costs.
+/// The least time between two checks of a thread: while the thread waits, its budget does not change, and each check costs time.
 pub(crate) const LEAST_LOOK_NS: u64 = 50_000;
 
 /// The alarm of one thread. It is never freed: a thread that no longer needs it gives it to another.
 #[derive(Debug)]
 pub(crate) struct Alarm {
-    /// When the enforcer looks, in `CLOCK_MONOTONIC` ns.
+    /// When the enforcer checks the thread, in `CLOCK_MONOTONIC` ns.
     due_ns: AtomicU64,
     /// The processor time of the thread at which its budget is used up.
     end_ns: AtomicU64,
@@ -39,7 +39,7 @@ pub(crate) struct Alarm {
 static ALARMS: AtomicPtr<Alarm> = AtomicPtr::new(std::ptr::null_mut());
 /// When the enforcer wakes by itself.
 static WAKES_AT: AtomicU64 = AtomicU64::new(NEVER);
-/// Changes when it has to look before that.
+/// Changes when the enforcer has to check before that.
 static CALLS: FutexWord = FutexWord::new(0);
 
 fn alarms() -> impl Iterator<Item = &'static Alarm> {
@@ -85,7 +85,7 @@ impl Alarm {
     pub(crate) fn set(&self, after_ns: u64, end_ns: u64) {
         let due_ns = monotonic_ns().saturating_add(after_ns).min(NEVER - 1);
         self.end_ns.store(end_ns, Ordering::Relaxed);
-        // Either this sees that the enforcer is about to sleep too long, or the enforcer sees this: both are SeqCst, as there.
+        // Either this load sees that the enforcer is about to sleep too long, or the enforcer sees the store: both are SeqCst, as there.
         self.due_ns.store(due_ns, Ordering::SeqCst);
         if WAKES_AT.load(Ordering::SeqCst) > due_ns {
             CALLS.0.fetch_add(1, Ordering::SeqCst);
@@ -106,7 +106,7 @@ impl Alarm {
         let tid = self.tid.load(Ordering::Relaxed);
         let left_ns = self.end_ns.load(Ordering::Relaxed).saturating_sub(thread_cpu_ns_of(tid));
         let next_ns = if left_ns == 0 { NEVER } else { now_ns.saturating_add(left_ns.max(LEAST_LOOK_NS)) };
-        // Only if it is still that job.
+        // Only if the alarm is still that of the same job.
         match self.due_ns.compare_exchange(due_ns, next_ns, Ordering::SeqCst, Ordering::SeqCst) {
             Ok(_) if left_ns == 0 => {
                 // SAFETY: no memory is passed. A thread that has ended, or another one with its number, has no budget.
@@ -123,7 +123,7 @@ impl Alarm {
 ///
 /// It may run on every core that the process may use: the kernel moves it to one where a lower priority runs.
 pub(crate) fn start(priority: u8, signal: libc::c_int) -> Result<u32, RtError> {
-    // What it finds after a fork is its parent's.
+    // In a forked child these still hold the parent's values.
     WAKES_AT.store(NEVER, Ordering::SeqCst);
     alarms().for_each(Alarm::clear);
     let thread = ThreadBuilder::new("enforcer")

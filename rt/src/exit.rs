@@ -23,7 +23,7 @@ impl List {
 }
 
 static LIST: ProcessMutex<List> = ProcessMutex::new(List::new(), List::new);
-/// The number of the next entry, which none of a parent's has.
+/// The number of the next entry. It is not reset in a forked child, so that no entry of the parent has the same number.
 static NEXT: AtomicU64 = AtomicU64::new(0);
 
 /// A function that is called at the process's end, unless this is dropped before. A process that ends while this is being dropped
@@ -40,7 +40,7 @@ pub struct AtExit(u64);
 pub fn at_exit(last: impl FnOnce() + Send + 'static) -> AtExit {
     let mut list = LIST.lock();
     if !std::mem::replace(&mut list.is_registered, true) {
-        // Also anew in a child, which may not call what its parent registered.
+        // Registered again in a child, which may not call what its parent registered.
         // SAFETY: `run` may be called at any time from C, and does not unwind. If that is refused, nothing is called.
         unsafe { libc::atexit(run) };
     }
@@ -58,7 +58,7 @@ impl Drop for AtExit {
 extern "C" fn run() {
     let entries = std::mem::take(&mut LIST.lock().entries);
     for (_, last) in entries.into_iter().rev() {
-        // Said by the panic itself; the others are still called.
+        // The panic has printed its message; the other entries are still called.
         let _ = catch_unwind(AssertUnwindSafe(last));
     }
 }

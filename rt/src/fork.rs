@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a forked child does not keep of its parent's: locks, pipes and shared memory.
+//! The resources that a forked child does not keep of its parent: locks, pipes and shared memory.
 //!
 //! A lock of `flock` belongs to the open file, which descriptors and mappings of a child keep open. So a child would keep its parent's
 //! files locked when that has died, and write into them. Therefore in a child, before `fork` returns there,
@@ -7,7 +7,7 @@
 //! - each [`ProcessFd`] is `/dev/null`, so that its owner may close it as ever;
 //! - each shared mapping ([`Mapping`](crate::shm::Mapping)) is zeros of the child's own;
 //! - each [`ProcessMutex`] is free and has its first value, whichever thread of the parent held it;
-//! - a [`ProcessMark`] of before is that of another process.
+//! - a [`ProcessMark`] made before the fork belongs to another process.
 //!
 //! `vfork` and `posix_spawn` are not concerned: their children only `exec`, which closes all of it.
 
@@ -18,9 +18,9 @@ use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd, RawFd};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{LazyLock, Mutex, MutexGuard, Once, PoisonError, TryLockError};
 
-/// What this process does not share with its children.
+/// The resources that this process does not share with its children.
 struct List {
-    /// What is put in the place of a descriptor.
+    /// `/dev/null`, which replaces the descriptors in a child.
     null: Option<OwnedFd>,
     files: BTreeSet<RawFd>,
     /// The length of each mapping, by its address.
@@ -28,12 +28,12 @@ struct List {
     mutexes: Vec<&'static (dyn Renew + Sync)>,
 }
 
-/// Of threads of all priorities: the last owner of a mapping may be a callback's.
+/// Locked by threads of all priorities: the last owner of a mapping may be a callback's thread.
 static LIST: LazyLock<PiMutex<List>> = LazyLock::new(|| {
     let (files, mappings) = (BTreeSet::new(), BTreeMap::new());
     PiMutex::new(List { null: None, files, mappings, mutexes: Vec::new() })
 });
-/// How often this process and those that it comes from were forked off.
+/// The number of forks that led to this process.
 static FORKS: AtomicU32 = AtomicU32::new(0);
 
 /// Held while the process forks, and in [`without_forks`].
@@ -50,7 +50,7 @@ static HELD: Held = Held(UnsafeCell::new(None));
 fn list() -> PiGuard<'static, List> {
     static REGISTERED: Once = Once::new();
     REGISTERED.call_once(|| {
-        // The handlers find it made.
+        // Created before a handler uses it.
         LazyLock::force(&LIST);
         // SAFETY: these may be called at any time, and do not unwind. Should there be no memory for them, a child keeps what it inherits.
         unsafe { libc::pthread_atfork(Some(before), Some(in_parent), Some(in_child)) };
@@ -70,7 +70,7 @@ unsafe extern "C" fn in_parent() {
     drop(unsafe { (*HELD.0.get()).take() });
 }
 
-/// Only what a signal handler may do: other threads of the parent may have been anywhere.
+/// Does only what a signal handler may do: other threads of the parent may have been anywhere.
 unsafe extern "C" fn in_child() {
     FORKS.fetch_add(1, Ordering::Relaxed);
     // SAFETY: the child's only thread is the one that took the lock.
@@ -160,12 +160,12 @@ impl<T: Send> ProcessMutex<T> {
 
 impl<T: Send> Renew for ProcessMutex<T> {
     unsafe fn renew(&self) {
-        // SAFETY: no other thread is there, and no guard. What it protected is not dropped: it may be changed by half.
+        // SAFETY: no other thread is there, and no guard. What it protected is not dropped: it may be half changed.
         unsafe { self.mutex.get().write(Mutex::new((self.first)())) };
     }
 }
 
-/// Runs `body` while no other thread forks. For what takes locks of other libraries: a child would find them locked forever. A thread
+/// Runs `body` while no other thread forks. For code that takes locks of other libraries: a child would find them locked forever. A thread
 /// that forks waits for it; `body` itself must not fork.
 ///
 /// # Real-time
@@ -208,7 +208,7 @@ impl Drop for ProcessFd {
         let mut list = list();
         if let Some(file) = self.0.take() {
             list.files.remove(&file.as_raw_fd());
-            // Before the number can be another's.
+            // Closed after the entry was removed: from then on the number may be another file's.
             drop(file);
             if list.files.is_empty() {
                 // Nothing stays open once a process has left its last domain.
@@ -239,7 +239,7 @@ pub fn unmap_shared(address: *mut std::ffi::c_void, unmap: impl FnOnce()) {
     unmap();
 }
 
-/// Tells the process that made something from those that it forks.
+/// Distinguishes the process that created an object from those that it forks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ProcessMark(u32);
 

@@ -6,7 +6,7 @@ pub use kernel::FutexWord;
 #[cfg(taut_loom)]
 use loom::sync::atomic::{AtomicU32, Ordering};
 
-/// The word that the kernel knows, for what no model of loom contains.
+/// The kernel's futex, for code that no loom model contains.
 pub(crate) mod kernel {
     use std::sync::atomic::AtomicU32;
 

@@ -14,7 +14,7 @@
 
 use crate::sync::{Arc, AtomicU8, Ordering, UnsafeCell};
 
-/// The value between the two was written after the reader last looked.
+/// Set if the value between the two sides was written after the reader's last exchange.
 const FRESH: u8 = 4;
 const SLOT: u8 = 3;
 
@@ -71,7 +71,7 @@ impl<T> LatestWriter<T> {
             // SAFETY: this slot is the writer's, and `&mut self` is its only user.
             unsafe { *slot = value };
         });
-        // AcqRel: the reader that gets this slot sees the value; what it did with the slot that comes back is over.
+        // AcqRel: the reader that gets this slot sees the value; its accesses to the slot that comes back are over.
         self.slot = self.buffer.between.swap(self.slot | FRESH, Ordering::AcqRel) & SLOT;
     }
 

@@ -12,7 +12,7 @@
 //! - [`Words`] is memory for statistics that other processes may read ([`WordsFile`], [`ForeignWords`]).
 //! - [`shm`] has the files in /dev/shm that contain all of this workspace's shared memory; [`domain`] has their
 //!   location.
-//! - [`Caches`] are the processor's; [`copy_to_shared`] copies into what another core has read,
+//! - [`Caches`] are the processor's; [`copy_to_shared`] copies into memory that another core has read,
 //!   [`fetch_to_write`] and [`fetch_to_read`] fetch it before that.
 //! - [`fork`] keeps children of the process from its locks and shared memory.
 //! - [`PiMutex`] protects data that threads of different priorities use; [`FutexWord`] is a word to sleep on; [`full_fence`] orders a
@@ -23,10 +23,12 @@
 //! - [`latest`] passes the newest of many values to another thread, without waiting on either side.
 //! - [`clock`] has the clocks, [`host`] the properties of the machine, [`permission`] the reasons why it
 //!   refuses a setting.
-//! - [`terminal`] escapes the control characters of what others wrote.
+//! - [`terminal`] escapes the control characters of untrusted text.
 //!
-//! Everything except [`clock`], [`copy_to_shared`], [`fetch_to_write`], [`fetch_to_read`], the use of [`Words`] and the use of the objects of [`latest`] and [`full_fence`] is set-up: it allocates, reads files and
-//! makes syscalls. No other crate of the workspace calls `sched_*` or `mlock*`.
+//! Set-up, which allocates, reads files and makes syscalls, is everything except [`clock`], [`copy_to_shared`], [`fetch_to_write`],
+//! [`fetch_to_read`], [`full_fence`], [`shm::page_bytes`], [`fork::ProcessMark::is_here`], and the use of [`Words`], [`PiMutex`],
+//! [`FutexWord`], [`BudgetTimer`], [`CoreTime`], [`Patience`] and the objects of [`latest`]. No other crate of the workspace calls
+//! `sched_*` or `mlock*`.
 //!
 //! ```
 //! use tautline_rt::{Policy, Realtime, ThreadBuilder};
@@ -42,7 +44,7 @@
 //! # Ok::<(), tautline_rt::RtError>(())
 //! ```
 
-/// Implements `Debug` for a type of which only the named fields say something to people: `debug_fields!([T: Codec] Publisher<T>, |this|
+/// Implements `Debug` for a type of which only the named fields are of use to people: `debug_fields!([T: Codec] Publisher<T>, |this|
 /// topic = this.topic())`.
 #[macro_export]
 macro_rules! debug_fields {
@@ -56,7 +58,7 @@ macro_rules! debug_fields {
     };
 }
 
-/// The names of an enum's variants, in one table: all variants in its order and the name of each, the name alone, or what displays it.
+/// The names of an enum's variants, in one table: generates an array of all variants and a method that returns the name, or `Display`.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! names {
@@ -81,7 +83,7 @@ macro_rules! names {
     };
     ($type:ident: $all_vis:vis, $count:literal, $vis:vis const fn $method:ident(self) -> &'static str { $($variant:ident: $name:literal),+ $(,)? }) => {
         impl $type {
-            /// Every one, in the order of their numbers.
+            /// All variants, in the order of their numbers.
             $all_vis const ALL: [$type; $count] = [$($type::$variant),+];
         }
     };

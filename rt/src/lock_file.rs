@@ -11,7 +11,7 @@ use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Who removes the file of a process that was killed locks it for a moment: that is not another holder.
+/// A process that removes the file of a killed process locks it for a moment: that is not another holder.
 const PATIENCE: Duration = Duration::from_millis(50);
 
 /// A locked file in /dev/shm. Dropping it releases the lock and removes the file.
@@ -73,7 +73,7 @@ impl LockFile {
                 }
                 Err(errno) => return Err(refuse(errno.into())),
             }
-            // Removed between opening and locking: that file is nobody's any more.
+            // Removed between opening and locking: the file belongs to no process any more.
             if rustix::fs::fstat(&file).map_err(|e| refuse(e.into()))?.st_nlink == 0 {
                 continue;
             }
@@ -86,7 +86,7 @@ impl LockFile {
 
 impl Drop for LockFile {
     fn drop(&mut self) {
-        // Still locked: who opened it meanwhile sees that it is gone, and makes another.
+        // Still locked: a process that has opened it meanwhile sees that it was removed, and creates another file.
         if self.owner.is_here() {
             let _ = rustix::fs::unlink(&self.path);
         }

@@ -108,7 +108,7 @@ pub fn page_faults() -> PageFaults {
     PageFaults { minor: usage.ru_minflt.cast_unsigned(), major: usage.ru_majflt.cast_unsigned() }
 }
 
-/// What the kernel has counted of the current thread since it started; zeros if it does not say.
+/// Returns the kernel's counters of the current thread since its start; zeros if the call fails.
 pub(crate) fn thread_usage() -> libc::rusage {
     let mut usage = MaybeUninit::<libc::rusage>::zeroed();
     // SAFETY: `usage` is writable for a whole rusage; all-zero bytes are a valid one, should the call fail.
@@ -130,7 +130,7 @@ fn populate(end: usize, here: usize) -> bool {
 /// Descends until a frame lies below `end`: bounded by addresses, so it holds whatever a frame's size is.
 #[inline(never)]
 fn touch(end: usize) {
-    // A step that is longer than no page of any system.
+    // A step that is not longer than a page of any system.
     let mut step = [0u8; 4096];
     black_box(&mut step);
     if (&raw const step).addr() > end {

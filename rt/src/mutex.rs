@@ -20,7 +20,7 @@ pub struct PiMutex<T> {
     value: UnsafeCell<T>,
 }
 
-// SAFETY: the mutex lets one thread at a time at the value.
+// SAFETY: the mutex gives one thread at a time access to the value.
 unsafe impl<T: Send> Send for PiMutex<T> {}
 // SAFETY: as above.
 unsafe impl<T: Send> Sync for PiMutex<T> {}
@@ -35,7 +35,7 @@ impl<T> PiMutex<T> {
     /// If the C library has no mutexes with priority inheritance; those of Linux have had it since 2006.
     pub fn new(value: T) -> Self {
         let mut raw = MaybeUninit::uninit();
-        // SAFETY: it is there to be written.
+        // SAFETY: `raw` can be written, and no thread uses it yet.
         assert!(unsafe { make(raw.as_mut_ptr()) }, "no mutex that inherits priority");
         // SAFETY: initialised above. It may move: nobody has locked it yet.
         let raw = Box::new(UnsafeCell::new(unsafe { raw.assume_init() }));
@@ -51,7 +51,7 @@ impl<T> PiMutex<T> {
     /// # Panics
     /// If this thread already holds it.
     pub fn lock(&self) -> PiGuard<'_, T> {
-        // SAFETY: initialised, and not destroyed before `self` goes. It fails only if this thread holds it already, which would be
+        // SAFETY: initialised, and not destroyed before `self` is dropped. It fails only if this thread holds it already, which would be
         // a bug here and not to be waited for.
         let locked = unsafe { libc::pthread_mutex_lock(self.raw.get()) };
         assert!(locked == 0, "a thread locks a mutex that it holds");
@@ -97,14 +97,14 @@ pub struct PiGuard<'m, T> {
 }
 
 impl<T> PiGuard<'_, T> {
-    /// Unlocks the mutex in a forked child, where the thread that had locked it has another number, by which the kernel knows owners.
+    /// Unlocks the mutex in a forked child, where the thread that locked it has another id, by which the kernel identifies owners.
     ///
     /// # Safety
     /// This is the child's only thread.
     pub(crate) unsafe fn unlock_in_child(guard: Self) {
         let raw = guard.mutex.raw.get();
         std::mem::forget(guard);
-        // SAFETY: no other thread is there to use it.
+        // SAFETY: this is the only thread, as the caller promises.
         unsafe { make(raw) };
     }
 }

@@ -4,8 +4,8 @@
 use crate::clock::{monotonic_ns, nanoseconds};
 use std::time::Duration;
 
-/// After a stop (of this process, or of its host) both the time is over and what was waited for may not have had any: so many looks are
-/// made in any case.
+/// The least number of polls. After a stop (of this process, or of its host) the time may be over although the awaited event had no time to
+/// happen.
 const LOOKS: u32 = 100;
 
 /// The time limit of a loop that polls about once a millisecond. It ends after its time, but not before 100 polls: a process that

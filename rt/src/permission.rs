@@ -17,7 +17,7 @@ pub fn realtime_permitted(priority: u8) -> Result<(), RtError> {
     ThreadBuilder::new("rt-probe").policy(Policy::Fifo(priority)).spawn(|| || ())?.join()
 }
 
-/// What a test needs of the machine, such as [`realtime_permitted`]; `None` if it is not there: the test is skipped, which is printed.
+/// Returns what a test needs of the machine, such as [`realtime_permitted`]; if it is missing, prints that the test is skipped: `None`.
 ///
 /// # Panics
 /// If it is not there and `CI` is set.
@@ -47,7 +47,7 @@ pub fn diagnose(priority: u8) -> RtError {
     }
 }
 
-/// As [`diagnose`], of EPERM to `SCHED_DEADLINE` for thread `tid`: privilege first, then the cores that it is bound to.
+/// As [`diagnose`], for EPERM of `SCHED_DEADLINE` for thread `tid`: privilege first, then the cores that it is bound to.
 pub(crate) fn diagnose_reservation(tid: u32) -> RtError {
     match (privileged(), affinity_of(tid)) {
         (true, Ok(cores)) => RtError::ReservationBound { cores: cores.to_string() },
@@ -81,10 +81,10 @@ pub fn cpu_group(text: &str) -> Option<&str> {
     })
 }
 
-/// Where that group is mounted, by the text of `/proc/self/mountinfo`: a container may have its own group alone. `None` if it is not there, or outside of
-/// this namespace.
+/// Where that group is mounted, by the text of `/proc/self/mountinfo`: a container may see only its own group. `None` if it is not mounted,
+/// or outside of this namespace.
 pub fn cpu_group_folder(group: &str, mounts: &str) -> Option<PathBuf> {
-    // As the kernel writes what would end a word.
+    // The kernel's escapes for characters that would end a word.
     let escapes = [("\\040", " "), ("\\011", "\t"), ("\\012", "\n"), ("\\134", "\\")];
     let plain = |path: &str| escapes.iter().fold(path.to_owned(), |path, (from, to)| path.replace(from, to));
     if group.starts_with("/..") {
@@ -96,7 +96,7 @@ pub fn cpu_group_folder(group: &str, mounts: &str) -> Option<PathBuf> {
         let (root, mount) = (plain(place.next()?), plain(place.next()?));
         let is_cpu = source.starts_with("cgroup ") && has_cpu(source.rsplit(' ').next()?);
         let below = Path::new(group).strip_prefix(&root).ok().filter(|_| is_cpu)?;
-        // No slash behind the mount.
+        // Collecting the components removes the slash that an empty `below` adds.
         Some(Path::new(&mount).join(below).components().collect())
     })
 }

@@ -156,7 +156,7 @@ fn set_policy_with(tid: u32, policy: Policy, flags: u64) -> Result<(), RtError> 
         }
         Policy::Deadline { runtime_ns, period_ns } => {
             (attr.sched_runtime, attr.sched_deadline, attr.sched_period) = (runtime_ns, period_ns, period_ns);
-            // Or it could start no threads at all.
+            // Without this flag the thread could start no threads at all.
             attr.sched_flags = u64::from(libc::SCHED_FLAG_RESET_ON_FORK.cast_unsigned());
             SCHED_DEADLINE
         }

@@ -21,7 +21,7 @@ use crate::fork::{self, ProcessFd, ProcessMark};
 /// The folder of named shared memory.
 pub const DIRECTORY: &str = "/dev/shm";
 
-/// The size of a page: files are mapped from multiples of it on. 4,096 bytes on most systems, 16,384 or 65,536 on some of Arm.
+/// The size of a page: mappings of files begin at multiples of it. 4,096 bytes on most systems, 16,384 or 65,536 on some of Arm.
 ///
 /// # Real-time
 /// Wait-free; no syscall.
@@ -66,7 +66,7 @@ pub fn make_folder(name: &str) -> Result<(), ShmError> {
                 Err(errno) => return Err(errno.into()),
             };
             match rustix::fs::open(&path, flags, Mode::empty()) {
-                // Whose it was has removed it since: this process's own turn, then.
+                // Its owner has removed it since: create it again.
                 Err(Errno::NOENT) if !is_made => {}
                 folder => break folder?,
             }
@@ -101,7 +101,7 @@ impl OwnFile {
             let id = random();
             let path = Path::new(DIRECTORY).join(format!("{prefix}{id:016x}"));
             match Self::create_at(path, id) {
-                // Somebody looks right now whether its owner lives, and may be stopped in that: another one then.
+                // Another process is checking whether the file's owner is alive, and may be stopped while it does: try another name.
                 Err(error) if error.source.kind() == io::ErrorKind::WouldBlock => {}
                 made => return made,
             }
@@ -189,7 +189,7 @@ const OWN_FILES: i32 = 256;
 /// and some take long (10 ms for an inotify instance). Descriptors whose closing other processes wait for must be closed before those.
 /// Own files begin at 256.
 pub fn closed_early(file: OwnedFd, least: i32) -> OwnedFd {
-    // Not beyond the limit of open files.
+    // Refused beyond the limit of open files.
     rustix::io::fcntl_dupfd_cloexec(&file, least).unwrap_or(file)
 }
 
@@ -204,10 +204,10 @@ impl PeerFile {
     /// Opens a file of this user's for reading, and for writing too if `writable`.
     ///
     /// # Errors
-    /// [`ShmError`]; one of another user is an error.
+    /// [`ShmError`]; a file of another user is an error.
     pub fn open(path: PathBuf, writable: bool) -> Result<PeerFile, ShmError> {
         let access = if writable { OFlags::RDWR } else { OFlags::RDONLY };
-        // Not blocking: opening a pipe would wait for somebody at its other end.
+        // Not blocking: opening a pipe would wait for a process at its other end.
         let flags = access | OFlags::CLOEXEC | OFlags::NOFOLLOW | OFlags::NONBLOCK;
         let open = || -> io::Result<OwnedFd> {
             let file = rustix::fs::open(&path, flags, Mode::empty())?;
@@ -248,7 +248,7 @@ impl PeerFile {
         if rustix::fs::flock(&self.file, FlockOperation::NonBlockingLockExclusive).is_err() {
             return false;
         }
-        // Not locked: its owner died, or has not come to lock it and will then make another one.
+        // Not locked: its owner died, or has not locked it yet and will then create another file.
         let removed = rustix::fs::unlink(&self.path).is_ok();
         let _ = rustix::fs::flock(&self.file, FlockOperation::Unlock);
         removed
@@ -307,9 +307,9 @@ pub fn claim(file: impl AsFd, offset: u64, len: u64) -> io::Result<()> {
     claim_by(offset, len, |offset, len| rustix::fs::fallocate(&file, FallocateFlags::empty(), offset, len))
 }
 
-/// As much is claimed by one call at first: 0.1 to 1 ms of work.
+/// The number of bytes that one call claims at first: 0.1 to 1 ms of work.
 const CLAIM_BYTES: u64 = 1 << 20;
-/// So often in a row a signal may end the claim of a page.
+/// How often in a row a signal may end the claim of a page.
 const CLAIM_TRIES: u32 = 1_000;
 
 /// Claims in steps: if a signal comes, older kernels (5.15, 6.1) take back what the call has claimed, and a program with a timer would
@@ -321,7 +321,7 @@ fn claim_by(
 ) -> io::Result<()> {
     let (page, end) = (rustix::param::page_size() as u64, offset.saturating_add(len));
     let (mut at, mut step, mut tries) = (offset, CLAIM_BYTES, 0);
-    // A length of zero is the system's to refuse.
+    // The system refuses a length of zero.
     while at < end || len == 0 {
         let len = step.min(end - at);
         match claim(at, len) {
@@ -345,7 +345,7 @@ pub struct Mapping {
     len_bytes: usize,
 }
 
-// SAFETY: a mapping is memory of the process, not of a thread; who makes references into it answers for them.
+// SAFETY: a mapping is memory of the process, not of a thread; code that creates references into it is responsible for them.
 unsafe impl Send for Mapping {}
 // SAFETY: as above.
 unsafe impl Sync for Mapping {}
@@ -357,7 +357,7 @@ impl Mapping {
     /// Setup only.
     ///
     /// # Errors
-    /// What the system said: a length of zero, an offset within a page.
+    /// The system's error: a length of zero, an offset within a page.
     pub fn new(file: impl AsFd, offset: u64, len_bytes: usize, writable: bool) -> io::Result<Mapping> {
         let access = if writable { ProtFlags::READ | ProtFlags::WRITE } else { ProtFlags::READ };
         let address = fork::map_shared(len_bytes, || {
@@ -374,7 +374,7 @@ impl Mapping {
     /// Setup only.
     ///
     /// # Errors
-    /// What the system said: a length of zero, too many mappings.
+    /// The system's error: a length of zero, too many mappings.
     pub fn scratch(len_bytes: usize) -> io::Result<Mapping> {
         let flags = MapFlags::PRIVATE | MapFlags::NORESERVE;
         let access = ProtFlags::READ | ProtFlags::WRITE;
@@ -401,7 +401,7 @@ impl Mapping {
     /// Setup only.
     ///
     /// # Errors
-    /// What the system said: beyond the end of the mapping or of the file.
+    /// The system's error: beyond the end of the mapping or of the file.
     pub fn populate(&self, offset_bytes: usize, len_bytes: usize, writable: bool) -> io::Result<()> {
         let end = offset_bytes.checked_add(len_bytes).filter(|end| *end <= self.len_bytes);
         let Some(end) = end else { return Err(io::Error::other("beyond the end of the mapping")) };

@@ -6,7 +6,7 @@ pub(crate) use loom::{cell::UnsafeCell, sync::Arc, sync::atomic::AtomicU8, sync:
 #[cfg(not(taut_loom))]
 pub(crate) use std::sync::{Arc, atomic::AtomicU8, atomic::Ordering};
 
-/// With the interface of loom's.
+/// Has the interface of loom's cell.
 #[cfg(not(taut_loom))]
 pub(crate) struct UnsafeCell<T>(core::cell::UnsafeCell<T>);
 

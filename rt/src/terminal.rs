@@ -1,20 +1,20 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Text of others for a terminal: of other hosts, of other users' bags, of messages.
+//! Escapes untrusted text for a terminal: from other hosts, from other users' bags, from messages.
 
 use std::borrow::Cow;
 use std::io::{self, Write};
 
-/// Writes text in which control characters are escaped, except line ends and tabs: what others wrote moves no cursor, changes no title
+/// Writes text in which control characters are escaped, except line ends and tabs: untrusted text moves no cursor, changes no title
 /// and rings no bell. `ESC` becomes `\u001b`, as in JSON; a carriage return before a line feed is left out.
 #[derive(Debug)]
 pub struct Escaped<W: Write> {
     to: W,
-    /// The end of what was written, if more decides what it is: a part of a character, or a carriage return.
+    /// The end of the written bytes, if the next bytes decide what it is: part of a character, or a carriage return.
     pending: Vec<u8>,
 }
 
 impl<W: Write> Escaped<W> {
-    /// Escapes what goes to `to`.
+    /// Escapes the text that is written to `to`.
     pub fn new(to: W) -> Self {
         Escaped { to, pending: Vec::new() }
     }
@@ -54,7 +54,7 @@ fn is_escaped(c: char) -> bool {
     c.is_control() && !matches!(c, '\n' | '\t')
 }
 
-/// Escapes bytes. If they are not all, returns how many at the end are left for the next time.
+/// Escapes bytes. Unless `is_all`, also returns how many bytes at the end are left for the next call.
 fn escape(bytes: &[u8], is_all: bool) -> (String, usize) {
     let mut text = String::with_capacity(bytes.len());
     let mut left = bytes.len();

@@ -66,7 +66,7 @@ pub struct ThreadBuilder {
 }
 
 impl ThreadBuilder {
-    /// The stack a thread gets unless told otherwise: 512 KiB.
+    /// The stack size of a thread by default: 512 KiB.
     pub const STACK_BYTES: usize = 512 * 1024;
 
     /// A builder for a `SCHED_OTHER` thread.
@@ -167,7 +167,7 @@ impl ThreadBuilder {
         let body = setup();
         if self.realtime == Realtime::Required {
             if matches!(self.policy, Policy::Deadline { .. }) {
-                // The kernel takes none that is bound; where the thread starts is what its starter was bound to.
+                // The kernel refuses this policy to a bound thread, and a new thread is bound as the thread that started it.
                 set_affinity(CoreSet::allowed()?)?;
             }
             set_policy(self.policy)?;

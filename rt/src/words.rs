@@ -121,7 +121,7 @@ impl ForeignWords {
     /// # Errors
     /// If /dev/shm cannot be read.
     pub fn list(prefix: &str) -> io::Result<Vec<ForeignWords>> {
-        // One that cannot be opened has just gone, or is another user's.
+        // A file that cannot be opened was just removed, or belongs to another user.
         let open = |path: PathBuf| Some(ForeignWords { file: PeerFile::open(path, false).ok()? });
         Ok(shm::list(prefix)?.into_iter().filter_map(open).collect())
     }
@@ -153,7 +153,7 @@ impl ForeignWords {
     /// the time of reading, in ascending order. This does not affect the writer.
     ///
     /// # Errors
-    /// What the system said, with the path; an error if the file is shorter.
+    /// The system's error, with the path; an error if the file is shorter.
     pub fn read(&self, at: usize, len: usize) -> io::Result<Vec<u64>> {
         let map = self.map(at, len)?;
         Ok((0..len).map_while(|index| map.load(index)).collect())

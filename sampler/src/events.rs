@@ -23,7 +23,7 @@ pub(crate) struct SamplerState {
 }
 
 impl Events {
-    /// The second is for the sampler.
+    /// Creates the part that other threads use, and the spare queues for the sampler.
     pub(crate) fn new(participant: &Participant) -> Result<(Self, SpareQueues), TransportError> {
         let (timers, spares) = Timers::new();
         let state = SamplerState {
@@ -69,7 +69,7 @@ impl Events {
     }
 }
 
-/// A slot at which the sampler releases something at times that are set, until this is dropped.
+/// A slot at which the sampler releases a timer, watchdog or alarm at the armed times, until this is dropped.
 pub(crate) struct TimerSlot<S: Borrow<Slot>> {
     state: Arc<SamplerState>,
     pub(crate) slot: S,
@@ -94,7 +94,7 @@ impl<S: Borrow<Slot>> TimerSlot<S> {
         self.slot.borrow().ring();
     }
 
-    /// Releases wake the task of `context` from now on.
+    /// Makes releases wake the task of `context` from now on.
     pub(crate) fn register(&self, context: &Context<'_>) {
         self.slot.borrow().waker().register(context.waker());
     }

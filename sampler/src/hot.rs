@@ -13,14 +13,14 @@ use tautline_rt::clock::{monotonic_ns, nanoseconds};
 use tautline_transport::Activity;
 
 impl TimerQueue {
-    /// A timer was armed or dropped at `slot`: O(timers), to find its entry.
+    /// Updates the queue after a timer was armed or dropped at `slot`: O(timers), to find its entry.
     fn update(&mut self, state: &SamplerState, slot: usize) {
         let Some(words) = state.timers.get(slot) else { return };
         if !words.changed.load(Ordering::Relaxed) || !words.changed.swap(false, Ordering::Acquire) {
             return;
         }
         self.spares.move_to_larger(&mut self.due);
-        // Acquire: pairs with the Release in `arm`; what is armed, and when it is first due, belongs to this or is newer.
+        // Acquire: pairs with the Release in `arm`; `armed` and `first_release_ns` belong to this period, or are newer.
         let period_ns = words.period_ns.load(Ordering::Acquire);
         self.due.retain(|Reverse((_, other))| *other != slot);
         words.begun.store(0, Ordering::Relaxed);
@@ -49,7 +49,7 @@ impl TimerQueue {
             let Some(words) = state.timers.get(slot) else { break };
             let period_ns = words.period_ns.load(Ordering::Relaxed);
             if period_ns == 0 {
-                // Dropped; its ring is on the way.
+                // The timer was dropped; its ring has not been drained yet.
                 std::collections::binary_heap::PeekMut::pop(next);
                 continue;
             }
@@ -63,7 +63,7 @@ impl TimerQueue {
             drop(next);
             let last_due_ns = release_ns.saturating_add((elapsed - 1).saturating_mul(period_ns));
             words.begun.fetch_add(elapsed, Ordering::Relaxed);
-            // Pairs with the Acquire fence in `Watchdog::poll_expired`: who reads this `last_due_ns` sees that it has begun.
+            // Pairs with the Acquire fence in `Watchdog::poll_expired`: a reader of this `last_due_ns` sees this `begun`.
             fence(Ordering::Release);
             words.last_due_ns.store(last_due_ns, Ordering::Relaxed);
             words.released.fetch_add(elapsed, Ordering::Release);
@@ -84,7 +84,7 @@ fn due_ns(words: &TimerWords, release_ns: u64, period_ns: u64, now: u64, state: 
         return release_ns;
     };
     match state.doorbell.activity_ns(activity) {
-        // Nothing to wait for the next of.
+        // There was no activity yet.
         0 => now.saturating_add(period_ns),
         activity_ns => release_ns.max(activity_ns.saturating_add(period_ns)),
     }
@@ -126,15 +126,15 @@ impl Sampler {
         tautline_trace::register_thread_as("sampler");
         while !self.events.is_stopped() {
             self.serve();
-            // Nothing else, such as another look at the timers: the threads that were woken on this core wait for the sleep.
-            // A stop has rung, and is not pending if it came before the last look.
+            // No further work, such as another look at the timers: the threads that were woken on this core wait until the sampler sleeps.
+            // A stop rings, but its ring is not pending any more if `serve` has drained it: so the flag is checked, too.
             if !self.events.is_stopped() && !self.events.state.doorbell.is_pending() {
                 self.wait_until(None, &mut sleep);
             }
         }
     }
 
-    /// Takes the rings first, so that a timer armed by one of them is looked at at once.
+    /// Drains the rings first, so that a timer that one of them armed is checked at once.
     fn serve(&mut self) -> usize {
         let (state, timers) = (&*self.events.state, &mut self.timers);
         let rung = self.seat.drain(|slot| timers.update(state, slot));

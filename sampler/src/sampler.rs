@@ -40,7 +40,7 @@ pub struct Sampler {
     pub(crate) wait: Wait,
     pub(crate) seat: SamplerSeat,
     pub(crate) trace: tautline_trace::SamplerObject,
-    /// It woke and has not told that it served.
+    /// Whether it woke and has not traced the end of its service yet.
     pub(crate) awake: bool,
 }
 

@@ -12,55 +12,55 @@ use tautline_doorbell::{Activity, WINDOWS, first_slot, place, window_slots};
 /// Timers by their next release, each with its slot.
 pub(crate) type Due = BinaryHeap<Reverse<(u64, usize)>>;
 
-/// What a timer and the sampler tell each other, one per slot.
+/// The words that a timer and the sampler share, for each slot.
 #[derive(Default)]
 pub(crate) struct TimerWords {
-    /// The timer was armed or dropped: the sampler brings its queue up to date.
+    /// Whether the timer was armed or dropped, so that the sampler has to update its queue.
     pub(crate) changed: AtomicBool,
     /// Zero: there is no timer here.
     pub(crate) period_ns: AtomicU64,
     pub(crate) first_release_ns: AtomicU64,
     /// Counts the timers that were armed here.
     pub(crate) armed: AtomicU64,
-    /// The one of these that `released` counts for; written by the sampler.
+    /// The number of the armed timer that `released` counts for; written by the sampler.
     pub(crate) accepted: AtomicU64,
     /// As `released`, but counted before `last_due_ns` is written; written by the sampler.
     pub(crate) begun: AtomicU64,
     /// Releases so far; written by the sampler.
     pub(crate) released: AtomicU64,
-    /// What a watchdog watches for, as a word: each release is one period after it was last seen. 0 of a timer.
+    /// The activity that a watchdog monitors, as a word: each release is one period after the last activity. 0 for a timer.
     pub(crate) activity: AtomicU64,
     /// When the last release of a watchdog was due; written by the sampler.
     pub(crate) last_due_ns: AtomicU64,
 }
 
 impl TimerWords {
-    /// Describes what releases from now on. The caller rings the slot.
+    /// Arms the slot, and returns the number of the armed timer. The caller rings the slot.
     pub(crate) fn arm(&self, first_release_ns: u64, period_ns: u64, activity: Option<Activity>) -> u64 {
         self.first_release_ns.store(first_release_ns, Ordering::Relaxed);
         let number = self.armed.fetch_add(1, Ordering::Relaxed) + 1;
         self.activity.store(activity.map_or(0, Activity::to_word), Ordering::Relaxed);
-        // Release, both: each pairs with an Acquire in the sampler, which then reads the words above, also if it is the ring of the
-        // slot's former timer that brings it there.
+        // Release, both: each pairs with an Acquire in the sampler, which then reads the words above, even if it was woken by the ring of
+        // the slot's former timer.
         self.period_ns.store(period_ns, Ordering::Release);
         self.changed.store(true, Ordering::Release);
         number
     }
 
-    /// Nothing releases any more. The caller rings the slot.
+    /// Ends the releases. The caller rings the slot.
     pub(crate) fn disarm(&self) {
         self.period_ns.store(0, Ordering::Relaxed);
         self.changed.store(true, Ordering::Release);
     }
 
-    /// The releases of what `number` was armed as, if there are any after the first `seen`.
+    /// Returns the number of releases of the timer that was armed as `number`, if it is greater than `seen`.
     ///
-    /// Fewer than were seen are none: where a slot is used again at once, the sampler may accept what was armed there twice, once for
-    /// the ring of the timer before. The second time it counts anew, and comes to the same numbers.
+    /// A number below `seen` is no release: if a slot is reused at once, the sampler may accept its timer twice, once for the ring of the
+    /// former timer. The second time it counts from 0 again, and reaches the same numbers.
     pub(crate) fn released_since(&self, number: u64, seen: u64) -> Option<u64> {
         // Acquire: each pairs with the sampler's Release.
         if self.accepted.load(Ordering::Acquire) != number {
-            return None; // what is counted there is a former timer's
+            return None; // the count is a former timer's
         }
         let released = self.released.load(Ordering::Acquire);
         (released > seen).then_some(released)
@@ -87,7 +87,7 @@ pub(crate) struct SpareQueues {
 
 impl Timers {
     pub(crate) fn new() -> (Self, SpareQueues) {
-        // A queue for each window at most.
+        // At most one queue for each window.
         let (to_sampler, larger) = RingBuffer::new(WINDOWS);
         let (emptied, from_sampler) = RingBuffer::new(WINDOWS);
         let spare_sender = Mutex::new(SpareQueuesSender { larger: to_sampler, emptied: from_sampler });
@@ -96,7 +96,7 @@ impl Timers {
         (timers, SpareQueues { larger, emptied })
     }
 
-    /// A timer may be armed at `slot` from now on. Allocates if none could before in its window.
+    /// Allocates the words of the slot's window, if there are none, so that a timer can be armed at `slot`.
     pub(crate) fn cover(&self, slot: usize) {
         let (window, _) = place(slot);
         if self.windows.get(window).is_some_and(|words| words.get().is_none()) {
@@ -109,7 +109,7 @@ impl Timers {
         let mut spare_sender = self.spare_sender.lock().unwrap_or_else(PoisonError::into_inner);
         while spare_sender.emptied.pop().is_ok() {}
         let Some(words) = self.windows.get(window).filter(|words| words.get().is_none()) else { return };
-        // Before the words: a timer that is armed finds room in the queue.
+        // The queue comes before the words, so that an armed timer finds room in it.
         let slots = first_slot(window) + window_slots(window);
         let _ = spare_sender.larger.push(BinaryHeap::with_capacity(slots));
         let _ = words.set((0..window_slots(window)).map(|_| TimerWords::default()).collect());
@@ -130,7 +130,7 @@ impl Timers {
 }
 
 impl SpareQueues {
-    /// Moves what is due into a larger queue if there is one: O(timers), once for each time that slots have doubled.
+    /// Moves the timers into a larger queue if there is one: O(timers), once for each time that slots have doubled.
     ///
     /// # Real-time
     /// Wait-free; no allocation.
@@ -141,7 +141,7 @@ impl SpareQueues {
                 larger.extend(due.drain());
                 std::mem::swap(due, &mut larger);
             }
-            // Whoever makes the next timer drops it. There is a place for each.
+            // The thread that adds the next window frees it. There is a place for each queue.
             if let Err(rtrb::PushError::Full(kept)) = self.emptied.push(larger) {
                 std::mem::forget(kept);
             }

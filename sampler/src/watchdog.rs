@@ -9,11 +9,11 @@ use std::time::Duration;
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
 use tautline_transport::{Activity, Slot, TransportError};
 
-/// Shorter deadlines and leases are monitored as if they were this long. No thread could keep one, and each that is missed again and
-/// again would keep the sampler, which nothing may wait for, busy with nothing else.
+/// Shorter deadlines and leases are monitored as if they were this long. No thread could meet them, and one that is missed again and
+/// again would keep the sampler, for which no thread should have to wait, busy with nothing else.
 const SHORTEST: Duration = Duration::from_micros(50);
 
-/// How long a deadline or a lease of this length is monitored for.
+/// Returns the period with which a deadline or lease of this length is monitored.
 pub(crate) fn monitored(period: Duration) -> Duration {
     period.max(SHORTEST)
 }
@@ -74,10 +74,10 @@ impl Watchdog {
         let words = self.slot.words();
         let Some(count) = words.released_since(self.number, self.seen) else { return Poll::Pending };
         let due_ns = words.last_due_ns.load(Ordering::Relaxed);
-        // Pairs with the Release fence of the sampler, which may be at the next expiry already.
+        // Pairs with the Release fence of the sampler, which may already be recording the next expiry.
         fence(Ordering::Acquire);
         if words.begun.load(Ordering::Relaxed) != count {
-            // Then it wakes the task once more, when that one is whole.
+            // The sampler wakes the task again when that expiry is recorded.
             return Poll::Pending;
         }
         let change = count - self.seen;

@@ -36,7 +36,7 @@ pub enum Admission {
 
 /// How long a process waits for another one that is just being admitted.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// As many deadlines as an error names.
+/// The maximum number of deadlines, or of processes, that an error names.
 const NAMED: usize = 3;
 
 /// What runs in a domain at real-time priorities, as far as its processes share their statistics.
@@ -67,7 +67,7 @@ impl Running {
         Running::beside(domain, None)
     }
 
-    /// As [`of_domain`](Self::of_domain), but of processes that have the file at this path only what another text of it does not count.
+    /// As [`of_domain`](Self::of_domain), but of processes with the file at this path only the callbacks that the given text of it lacks.
     pub fn beside(domain: u32, without: Option<(&Path, &SystemFile)>) -> Result<Running> {
         let mut running = Running::default();
         let mut found = Vec::new();
@@ -76,7 +76,7 @@ impl Running {
                 Ok(snapshot) => {
                     found.extend(snapshot.filter(|of| of.process.realtime && statistics.is_running()));
                 }
-                // Such as of a process that was built with another version of Tautline.
+                // For example, a process that was built with another version of Tautline.
                 Err(error) => running.notes.push(format!("a process is not looked at: {error}")),
             }
         }
@@ -118,7 +118,7 @@ impl Running {
             Ok(file) if file.fingerprint() == process.system_hash => {
                 self.files.push(FileInUse { file, host: process.host.clone(), label });
             }
-            // What it runs says of itself what it needs.
+            // Only the callbacks that run now count, with the needs that their statistics state.
             Ok(_) => self.notes.push(format!(
                 "{} was started with another text of {label}: of it only what runs now is looked at; restart it",
                 label_of(process)
@@ -136,7 +136,7 @@ impl Running {
         self.files.iter().find(is_it)
     }
 
-    /// A callback that is where its file says is part of the file, the first time.
+    /// Adds a callback as a thread beside the files, unless it runs as its file says, and is the first one that does.
     fn add_callback(
         &mut self,
         snapshot: &ProcessSnapshot,
@@ -174,8 +174,8 @@ impl Running {
     }
 }
 
-/// Whether a callback of a system file runs already, in whatever process.
-fn runs(domain: u32, system: &LoadedSystem, callback: &str) -> Result<bool> {
+/// Whether a callback of a system file already runs, in any process.
+fn is_callback_running(domain: u32, system: &LoadedSystem, callback: &str) -> Result<bool> {
     let is_it =
         |of: &CallbackSnapshot| !of.is_group && !of.ended && of.priority.is_some() && of.name == callback;
     for statistics in shared_statistics(domain)?.0 {
@@ -188,7 +188,7 @@ fn runs(domain: u32, system: &LoadedSystem, callback: &str) -> Result<bool> {
     Ok(false)
 }
 
-/// How a process is named to people.
+/// The name of a process in messages.
 pub fn label_of(process: &ProcessInfo) -> String {
     format!("{} (process {})", process.program, process.pid)
 }
@@ -224,7 +224,7 @@ impl Gate {
 }
 
 impl Drop for Gate {
-    /// Not by closing alone: a child of another thread may have the descriptor for a moment, before it becomes another program.
+    /// Unlocks explicitly: a child that another thread has forked may keep the descriptor open until its exec.
     fn drop(&mut self) {
         if let Some(folder) = &self.0 {
             let _ = folder.unlock();
@@ -232,7 +232,7 @@ impl Drop for Gate {
     }
 }
 
-/// Checks all that the file says of this host. The gate is to be held until others can read of it.
+/// Checks everything that the file states for this host. Hold the gate until other processes can read the load.
 ///
 /// # Errors
 /// [`SystemError::NotAdmitted`], and those of [`Gate::enter`].
@@ -245,7 +245,7 @@ pub fn admit_system(domain: u32, mode: Admission, system: &LoadedSystem) -> Resu
     Ok((gate, admitted))
 }
 
-/// Checks callbacks that are to be spawned on a thread with the settings `thread`. The gate is to be held until they are.
+/// Checks callbacks that are to be spawned on a thread with the settings `thread`. Hold the gate until they are spawned.
 ///
 /// # Errors
 /// As [`admit_system`].
@@ -261,7 +261,7 @@ pub fn admit_callbacks<'o>(
     for callback in callbacks {
         let of_file = system.filter(|system| system.describes(thread, &callback.name));
         if let Some(system) = of_file
-            && !runs(domain, system, &callback.name)?
+            && !is_callback_running(domain, system, &callback.name)?
         {
             continue;
         }
@@ -269,7 +269,7 @@ pub fn admit_callbacks<'o>(
             Some(running) => running,
             none => none.insert(Running::of_domain(domain)?),
         };
-        let loose = loose(thread, callback, of_file);
+        let loose = loose_thread(thread, callback, of_file);
         let silent = loose.period_ns.is_none() || loose.budget_ns.is_none();
         let hint = if silent { " (which states no `period` or no `budget`)" } else { "" };
         let what = format!("callback '{}'{hint}", callback.name);
@@ -282,14 +282,14 @@ pub fn admit_callbacks<'o>(
     Ok((gate, outcome))
 }
 
-/// What the analysis needs to know of a callback that no file counts.
-fn loose(
+/// Describes a callback that no file counts, for the analysis.
+fn loose_thread(
     thread: &CallbackOptions,
     callback: &CallbackOptions,
     of_file: Option<&LoadedSystem>,
 ) -> LooseThread {
     let ns = |time: Duration| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
-    // With a reservation any, unless it is bound.
+    // A thread with a reservation may use any core, unless it is bound.
     let reservation = reservation_of(thread.policy);
     let cores =
         thread.cores.or_else(|| tautline_rt::current_affinity().ok().filter(|_| reservation.is_none()));
@@ -300,7 +300,7 @@ fn loose(
         core: cores.next().filter(|_| cores.next().is_none()),
         priority: thread.policy.realtime_priority().unwrap_or(1),
         reservation,
-        // Of several topics any may send at once: as if one sent as often as all together.
+        // Messages of several topics may arrive at once: they count as one topic with the rate of all together.
         period_ns: callback
             .period
             .map(|period| ns(period) / of_file.map_or(1, |of| of.streams(&callback.name))),
@@ -310,7 +310,7 @@ fn loose(
     }
 }
 
-/// What the kernel reserves for a thread.
+/// Returns the reservation of a policy, if it is one.
 fn reservation_of(policy: Policy) -> Option<Reservation> {
     match policy {
         Policy::Deadline { runtime_ns, period_ns } => Some(Reservation { runtime_ns, period_ns }),
@@ -318,7 +318,7 @@ fn reservation_of(policy: Policy) -> Option<Reservation> {
     }
 }
 
-/// Checks a candidate beside what runs; `what` names it, and `file` the file that it is.
+/// Checks a candidate together with the running load. `what` names the candidate; `file` is its path, if it is a system file.
 ///
 /// # Errors
 /// [`SystemError::NotAdmitted`], unless `mode` is [`Admission::Force`].

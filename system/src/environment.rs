@@ -38,7 +38,7 @@ pub fn admission_of_environment(has_system: bool) -> Result<Admission> {
     }
 }
 
-/// `TAUT_CORE_TIME`: whether what the host takes from jobs is recorded, and from which time on.
+/// `TAUT_CORE_TIME`: whether time taken from jobs by the host is recorded, and the shortest time that is.
 ///
 /// # Errors
 /// [`SystemError::Environment`].
@@ -63,7 +63,7 @@ pub fn switch_of_environment(variable: &'static str) -> Result<Option<bool>> {
     }
 }
 
-/// A variable that is set to something. Not UTF-8 is something, too: it will not be understood.
+/// Returns a variable that is set and not empty. Invalid UTF-8 is replaced: such a value will not be understood.
 pub fn environment(variable: &str) -> Option<String> {
     let value = std::env::var_os(variable)?.to_string_lossy().into_owned();
     (!value.is_empty()).then_some(value)

@@ -12,7 +12,7 @@ use tautline_executor::{CallbackOptions, OverrunPolicy, Policy, ProcessInfo};
 #[derive(Debug)]
 pub struct LoadedSystem {
     path: PathBuf,
-    /// The host that this is.
+    /// This host's name in the file.
     pub host: String,
     /// The file.
     pub file: SystemFile,
@@ -97,19 +97,19 @@ impl LoadedSystem {
         }
     }
 
-    /// What other processes are told of the one that has this file.
+    /// Fills in the host, path and hash of the system file, which other processes read.
     pub fn describe(&self, about: &mut ProcessInfo) {
         about.host.clone_from(&self.host);
         about.system_path = std::path::absolute(&self.path).unwrap_or_else(|_| self.path.clone());
         about.system_hash = self.file.fingerprint();
     }
 
-    /// Whether a process has this file, as this host.
+    /// Whether a process runs with this file, as this host.
     pub fn is_of(&self, process: &ProcessInfo) -> bool {
         process.system_hash == self.file.fingerprint() && process.host == self.host
     }
 
-    /// The text that the file has now.
+    /// Reads the present text of the file.
     ///
     /// # Errors
     /// As [`read`](Self::read).
@@ -122,7 +122,7 @@ impl LoadedSystem {
         self.callbacks().map(|callback| self.options(&callback.entry.name))
     }
 
-    /// What of another text of the file cannot be taken up by what runs already: all but priorities, reservations, wcets and deadlines.
+    /// The first change in another text of the file that a process cannot adopt: all but priorities, reservations, wcets, deadlines.
     pub fn obstacle(&self, other: &LoadedSystem) -> Option<String> {
         if self.sampler_priority != other.sampler_priority {
             return Some(format!(
@@ -155,7 +155,7 @@ impl LoadedSystem {
                 () if was.policy != is.policy => "`policy`",
                 () if old.period_ns != new.period_ns => "period",
                 () if (was.wake_up == WakeUp::Publisher) != (is.wake_up == WakeUp::Publisher) => "wake-up",
-                // Its queue is as deep as it was computed.
+                // The running queue has the depth that was computed for the old text.
                 () if was.depth != is.depth || is.depth.is_none() && queue(old) < queue(new) => {
                     "queue, which has to be deeper"
                 }
@@ -165,17 +165,17 @@ impl LoadedSystem {
         })
     }
 
-    /// As it was given.
+    /// The file's path, as it was given.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// What people call it.
+    /// The file's name in messages: its absolute path.
     pub fn label(&self) -> String {
         std::path::absolute(&self.path).unwrap_or_else(|_| self.path.clone()).display().to_string()
     }
 
-    /// Whether a thread is the one that the file gives the callback `name`: its priority, its core.
+    /// Whether a thread has the priority and the core that the file gives the callback `name`.
     pub fn describes(&self, thread: &CallbackOptions, name: &str) -> bool {
         self.find(name).is_ok_and(|callback| {
             let of_file = thread_of(callback);

@@ -25,7 +25,7 @@ pub(crate) enum RecorderRequest {
     Record,
 }
 
-/// Starts the names of trace files in the folder of their domain.
+/// The prefix of the names of trace files in the folder of their domain.
 const PREFIX: &str = "trace_";
 
 /// Whether this is the name of the trace file of a process.
@@ -33,12 +33,12 @@ pub fn is_trace_file(name: &str) -> bool {
     name.strip_prefix(PREFIX).is_some_and(|rest| rest.starts_with('p'))
 }
 
-/// Starts the names of the files of processes.
+/// The prefix of the names of processes' files.
 pub(crate) fn process_prefix(domain: u32) -> String {
     prefix_in(&shared_folder(domain))
 }
 
-/// Makes a file in the folder of a domain, which is made with it: the last process of the domain may remove it at any moment.
+/// Creates a file in the folder of a domain, and the folder too: the last process of the domain may remove the folder at any moment.
 pub(crate) fn in_folder<T>(domain: u32, make: impl Fn() -> Result<T, ShmError>) -> Result<T, ShmError> {
     loop {
         shm::make_folder(&shared_folder(domain))?;
@@ -54,7 +54,7 @@ pub(crate) fn leave_folder(domain: u32) {
     let _ = rustix::fs::rmdir(shared_path(domain));
 }
 
-/// How the names of processes' files begin in a domain's folder.
+/// The prefix of the names of processes' files in a domain's folder.
 pub(crate) fn prefix_in(folder: &str) -> String {
     format!("{folder}/{PREFIX}p")
 }
@@ -63,12 +63,12 @@ fn path(domain: u32) -> PathBuf {
     shared_path(domain).join(format!("{PREFIX}control"))
 }
 
-/// Looks whether a recorder is there.
+/// What the recorder of a domain requests, if there is one.
 pub(crate) fn recorder_request(domain: u32) -> RecorderRequest {
     request_at(path(domain))
 }
 
-/// The same, of the domain whose folder has this name.
+/// What the recorder of the domain whose folder has this name requests, if there is one.
 pub(crate) fn request_in(folder: &str) -> RecorderRequest {
     request_at(Path::new(shm::DIRECTORY).join(folder).join(format!("{PREFIX}control")))
 }
@@ -76,8 +76,8 @@ pub(crate) fn request_in(folder: &str) -> RecorderRequest {
 fn request_at(path: PathBuf) -> RecorderRequest {
     let Ok(file) = PeerFile::open(path.clone(), false) else { return RecorderRequest::Nothing };
     if rustix::fs::flock(&file, FlockOperation::NonBlockingLockShared).is_ok() {
-        // Its recorder was killed, or has not come to lock it and will look whether it still has a name. Who locks it alone
-        // while it has one unlinks this file, and not the next recorder's of the same name.
+        // Its recorder was killed, or has not locked it yet and will check whether it still has a name. A process that has the exclusive
+        // lock while the file has a name unlinks this file, and not the next recorder's of the same name.
         if rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive).is_ok() && has_name(&file) {
             let _ = rustix::fs::unlink(&path);
         }
@@ -101,7 +101,7 @@ pub(crate) struct RecorderLock {
 
 impl RecorderLock {
     pub(crate) fn claim(domain: u32) -> Result<RecorderLock, TraceError> {
-        // Processes hold the lock for a moment when they look.
+        // Processes hold the lock for a moment when they check for a recorder.
         const PATIENCE: Duration = Duration::from_millis(500);
         let (path, mut patience) = (path(domain), Patience::new(PATIENCE));
         let refuse = |errno: Errno| TraceError::File { path: path.clone(), source: io::Error::from(errno) };

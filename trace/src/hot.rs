@@ -11,7 +11,7 @@ use crate::thread::{self, EventSink};
 use core::sync::atomic::{AtomicBool, Ordering};
 use tautline_rt::clock::monotonic_ns;
 
-/// Whether this process's rings record. Relaxed: an event more or less around the switch is no matter.
+/// Whether this process's rings record. Relaxed: a few events more or less around the switch do not matter.
 static ON: AtomicBool = AtomicBool::new(false);
 
 pub(crate) fn switch(on: bool) {
@@ -127,7 +127,7 @@ pub fn callback_start(callback: ObjectId, release_ns: u64) {
     lttng::callback_start(callback);
 }
 
-/// `callback` has ended, for which its thread used so much processor time, if that was measured.
+/// `callback` has ended. `used_ns` is the processor time that its thread used for it, if that was measured.
 ///
 /// # Real-time
 /// As [`publish`].

@@ -61,7 +61,7 @@ impl SamplerObject {
         self.object.id()
     }
 
-    /// To whom LTTng's spin events belong: r2r spins nodes, so the first one of the context. None before there is one.
+    /// The node of LTTng's spin events: r2r spins nodes, so it is the context's first node. None before there is one.
     #[cfg(feature = "lttng")]
     pub(crate) fn node(&self) -> ObjectId {
         ObjectId(self.node.load(std::sync::atomic::Ordering::Relaxed))

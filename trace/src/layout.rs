@@ -40,7 +40,7 @@ pub(crate) struct Layout {
     heads: [RingHead; RINGS],
 }
 
-/// Aligned so that its length, and with it what follows, is the same whatever its fields and a page are.
+/// Aligned so that its length, and with it the offset of what follows, depends neither on its fields nor on the page size.
 #[repr(C, align(4096))]
 struct Header {
     magic: AtomicU64,
@@ -54,7 +54,7 @@ struct Header {
     described: AtomicU64,
 }
 
-/// One thing that events speak of. `turn` is odd while the owner writes, and grows with every use of the entry.
+/// An object that events refer to. `turn` is odd while the owner writes, and grows with every use of the entry.
 #[repr(C)]
 pub(crate) struct ObjectWords {
     pub(crate) turn: AtomicU64,
@@ -102,8 +102,8 @@ impl Map {
         Self::at(base, events)
     }
 
-    /// Puts zeros where the file was mapped, so that its pages are free once its name is gone. Threads that still write
-    /// there write to nobody.
+    /// Maps zeros over the file, so that its pages are freed when its name is removed. Events that threads still write there are
+    /// lost.
     pub(crate) fn forget_file(self) -> io::Result<()> {
         let (address, fixed) = Self::place(Some(self), self.events);
         // SAFETY: over a mapping of this length that is this crate's and holds atomics only, of which zero is valid.
@@ -237,7 +237,7 @@ impl Map {
         &self.layout().header.described
     }
 
-    /// Whether a recorder has everything.
+    /// Whether a recorder has fetched all events.
     pub(crate) fn is_drained(self) -> bool {
         (0..RINGS).all(|index| self.ring(index).is_drained())
     }

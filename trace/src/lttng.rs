@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
 use tautline_rt::fork::ProcessMutex;
 
-/// Of which ros2_tracing the names and fields are.
+/// The release of ros2_tracing whose names and fields these are.
 const RELEASE: &std::ffi::CStr = c"8.4.0";
 /// What ros2_tracing keeps of a gid, in bytes.
 const GID_BYTES: usize = 24;

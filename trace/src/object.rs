@@ -82,7 +82,7 @@ impl Object {
         gid: [u64; 2],
         name: &str,
     ) -> Object {
-        // Only ever compared: any order will do. Not loom's, which has no statics.
+        // Relaxed: ids are only compared, so any order will do. Not loom's type, which cannot be in a static.
         static NEXT: core::sync::atomic::AtomicU64 = core::sync::atomic::AtomicU64::new(2);
         let odd = kind == ObjectKind::Callback && parent == ObjectId::NONE;
         let id = ObjectId(NEXT.fetch_add(2, core::sync::atomic::Ordering::Relaxed) + u64::from(odd));
@@ -111,7 +111,7 @@ fn shortened(name: &str) -> &str {
     &name[..end]
 }
 
-/// The entries nobody uses, the longest unused first: what ended stays readable as long as possible.
+/// The unused entries, the longest unused first, so that an ended object's description stays readable as long as possible.
 pub(crate) struct FreeEntries(VecDeque<usize>);
 
 impl FreeEntries {
@@ -133,11 +133,11 @@ impl FreeEntries {
 }
 
 impl ObjectWords {
-    /// Only one thread of the owner at a time may.
+    /// Only one thread of the owner may write at a time.
     pub(crate) fn write(&self, object: &Description) {
         let turn = self.turn.load(Ordering::Relaxed) | 1;
         self.turn.store(turn, Ordering::Relaxed);
-        // Pairs with the fence in `read`: whoever reads a word below sees that it is being written.
+        // Pairs with the fence in `read`: a reader that gets a word from below also sees that the entry is being written.
         fence(Ordering::Release);
         self.kind.store(object.kind as u32, Ordering::Relaxed);
         self.name_bytes.store(object.name.len() as u32, Ordering::Relaxed);
@@ -161,8 +161,8 @@ impl ObjectWords {
         self.turn.store(turn + 1, Ordering::Release);
     }
 
-    /// The entry and its turn, which tells whether it is another one than at the last look; `None` while it is being
-    /// written, was never used, or holds what is no description.
+    /// The entry and its turn, which differs from that of the last read if the entry was reused; `None` while it is being
+    /// written, was never used, or holds no valid description.
     pub(crate) fn read(&self) -> Option<(u64, Description)> {
         let turn = self.turn.load(Ordering::Acquire);
         if turn == 0 || turn & 1 == 1 {

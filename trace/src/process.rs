@@ -21,7 +21,7 @@ use tautline_rt::shm::{OwnFile, ShmError};
 
 static PROCESS: ProcessMutex<Process> = ProcessMutex::new(Process::new(), Process::new);
 
-/// Rings that have memory and wait for a thread that nobody has registered.
+/// Rings with memory that are kept for threads that were not registered.
 const SPARE_RINGS: usize = 2;
 
 struct Process {
@@ -90,7 +90,7 @@ impl Drop for Membership {
     }
 }
 
-/// Gives one more ring memory, for the current thread, which claims it with `claim` before anybody else comes.
+/// Gives one more ring memory, for the current thread, which claims it with `claim` before another thread can.
 pub(crate) fn with_spare_ring(claim: impl FnOnce()) {
     let process = PROCESS.lock();
     if let Some(own) = &process.file {
@@ -102,7 +102,7 @@ pub(crate) fn with_spare_ring(claim: impl FnOnce()) {
     claim();
 }
 
-/// How often to look while there is a recorder: it may be killed, and threads end.
+/// The interval of checks while there is a recorder: it may be killed, and threads end.
 const PERIOD: Duration = Duration::from_millis(250);
 
 /// Checks whether there is a recorder. If there is one, or if few rings are free, releases the rings of ended threads. For a
@@ -158,26 +158,26 @@ impl OwnTraceFile {
         Ok(OwnTraceFile { domain, file, map, mode: settings.mode, until_look: Cell::new(0) })
     }
 
-    /// Whether a recorder is there.
+    /// Follows the recorder's request. Returns whether there is a recorder.
     fn attend(&self) -> bool {
         let asked = control::recorder_request(self.domain);
         if self.mode != TraceMode::On {
             let wanted = if asked == RecorderRequest::Record { state::ASKED } else { state::OFF };
             if self.map.state().load(Ordering::Relaxed) != wanted {
                 if wanted == state::ASKED {
-                    // Of a thread that was switched off between its look and its event: not the next recording's.
+                    // Drops events of threads that checked the switch before it went off: they do not belong to the next recording.
                     self.discard();
                 }
                 hot::switch(wanted == state::ASKED);
                 if asked == RecorderRequest::Nothing {
-                    // The recorder was killed. What it left would turn up in the next recording.
+                    // The recorder was killed. Events that it left would appear in the next recording.
                     self.discard();
                 }
                 // Release: pairs with the Acquire of the recorder, which then fetches the last events.
                 self.map.state().store(wanted, Ordering::Release);
             }
         }
-        // Else before others get memory.
+        // Without a recorder, rings are given back only before others would get memory.
         if asked != RecorderRequest::Nothing || self.missing_rings(SPARE_RINGS) > 0 {
             self.give_back_rings(asked);
         }
@@ -196,9 +196,9 @@ impl OwnTraceFile {
         (0..RINGS).filter(|index| self.map.ring(*index).head.tid.load(Ordering::Relaxed) == 0).count()
     }
 
-    /// Gives rings of ended threads back, but not for each thread that comes: that asks the kernel for every thread that has one. As many may come
-    /// before the next look as had one at the last: one question each, however many there are. But nobody goes without a ring for that who is
-    /// recorded.
+    /// Gives back the rings of ended threads, but not for each new thread: that asks the kernel about every thread that has a ring. As many
+    /// threads may come between two checks as had a ring at the first: one question for each, however many there are. But while events are
+    /// recorded, a check is made whenever few rings are free, so that no thread goes without one.
     fn look_now_and_then(&self) {
         let left = self.until_look.get();
         self.until_look.set(left.saturating_sub(1));
@@ -209,7 +209,7 @@ impl OwnTraceFile {
         }
     }
 
-    /// A ring whose thread has ended is free when a recorder has everything; without a recorder also when rings run short.
+    /// A ring whose thread has ended is free when a recorder has fetched everything; without a recorder also when rings run short.
     fn give_back_rings(&self, asked: RecorderRequest) {
         let owners = |index: &usize| self.map.ring(*index).head.tid.load(Ordering::Relaxed);
         let free = self.free_rings();
@@ -231,13 +231,13 @@ impl OwnTraceFile {
         }
     }
 
-    /// How many rings are to get memory so that `spare` of those that have it are nobody's.
+    /// The number of rings that must get memory, so that `spare` rings with memory are free.
     fn missing_rings(&self, spare: usize) -> usize {
         let is_spare = |ring: &Ring| is_ready(ring) && ring.head.tid.load(Ordering::Relaxed) == 0;
         spare.saturating_sub((0..RINGS).filter(|index| is_spare(&self.map.ring(*index))).count())
     }
 
-    /// Gives rings memory, until `spare` of those that have it are nobody's.
+    /// Gives rings memory, until `spare` rings with memory are free.
     fn prepare_rings(&self, spare: usize) {
         let rings = (0..RINGS).map(|index| (index, self.map.ring(index)));
         for (index, ring) in rings.filter(|(_, ring)| !is_ready(ring)).take(self.missing_rings(spare)) {
@@ -251,7 +251,7 @@ impl OwnTraceFile {
         }
     }
 
-    /// What nobody has fetched stays for a recorder: the one that asked for it, or any if it was recorded from the start.
+    /// Keeps the file if it has unfetched events: for the recorder that requested them, or for any if it recorded from the start.
     fn leave(&self) {
         hot::switch(false);
         let wanted =

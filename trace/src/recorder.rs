@@ -23,7 +23,7 @@ pub enum Record<'r> {
     Process {
         /// Its number in this recording.
         process: u32,
-        /// The kernel's number of it.
+        /// The kernel's id of it.
         pid: u32,
         /// Its program.
         name: &'r str,
@@ -39,7 +39,7 @@ pub enum Record<'r> {
     Thread {
         /// Its process, by the number in this recording.
         process: u32,
-        /// The kernel's number of it.
+        /// The kernel's id of it.
         tid: u32,
         /// Its name.
         name: &'r str,
@@ -108,7 +108,7 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// How often it looks for new processes.
+    /// The interval between two searches for new processes.
     const SCAN_PERIOD: Duration = Duration::from_millis(100);
 
     /// Makes the processes of `domain` record: they notice it at their next [attend](crate::attend). Processes that start from now
@@ -195,7 +195,7 @@ impl Recorder {
     /// Removes the files of processes that have ended.
     fn remove_dead(&mut self, sink: &mut impl FnMut(Record<'_>)) {
         self.processes.retain(|_, peer| {
-            // Not locked: its owner died, or needs it no more.
+            // The file is not locked: its owner died, or does not need it any more.
             if peer.file.is_owned() {
                 return true;
             }
@@ -213,7 +213,7 @@ struct Peer {
     number: u32,
     map: Map,
     file: PeerFile,
-    /// The generation of each reported entry of the table.
+    /// The turn of each reported entry of the table.
     turns: HashMap<usize, u64>,
     /// The owner and name of each ring when it was last reported.
     owners: HashMap<usize, (u32, String)>,
@@ -223,7 +223,7 @@ struct Peer {
 }
 
 impl Peer {
-    /// `None` if the file is not complete yet, or gone.
+    /// Opens a trace file. `None` if it is not complete yet, or gone.
     fn open(path: &Path, number: u32) -> Result<Option<Peer>, String> {
         let file = match PeerFile::open(path.to_owned(), true) {
             Ok(file) => file,
@@ -260,11 +260,11 @@ impl Peer {
             let from = ring.head.drained.load(Ordering::Relaxed);
             let mut words = Vec::new();
             let drained = ring.drain(from, &mut words);
-            // Read after the events: a ring is given back when it is drained, so that what was just read is of this thread.
+            // Read after the events: a ring is given back only when it is drained, so the events that were just read are this thread's.
             let tid = ring.head.tid.load(Ordering::Acquire);
             batches.push((index, tid, words_to_name(&ring.head.name), words, drained));
         }
-        // Objects after the copies and before they are reported: what an event speaks of was there before it.
+        // Objects are reported after the events are copied and before these are reported: an object is described before its events.
         self.report_objects(sink);
         for (index, tid, name, words, drained) in batches {
             let events: Vec<Event> = words.iter().filter_map(|words| Event::from_words(*words)).collect();
@@ -326,7 +326,7 @@ pub fn remove_dead_files(domain: u32) {
 /// The same for the domain whose folder in /dev/shm has this name, which may be of another scope.
 pub fn remove_dead_files_in(folder: &str) {
     let mut files = shm::list(&control::prefix_in(folder)).unwrap_or_default();
-    // Not for writing: whoever watches the folder would hear of it, and look again.
+    // Not opened for writing: that would notify the processes that watch the folder, and they would check it again.
     files.retain(|path| PeerFile::open(path.clone(), false).is_ok_and(|file| !file.is_owned()));
     if files.is_empty() || control::request_in(folder) != RecorderRequest::Nothing {
         return;

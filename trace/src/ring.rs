@@ -22,13 +22,13 @@ use crate::sync::{AtomicU32, AtomicU64, Ordering, fence};
 pub(crate) struct RingHead {
     begun: AtomicU64,
     pub(crate) committed: AtomicU64,
-    /// The kernel's id of the thread that writes here; zero: nobody's.
+    /// The kernel's id of the thread that writes here; zero: no thread.
     pub(crate) tid: AtomicU32,
-    /// Whether the events have memory; never taken back.
+    /// Whether the events have memory, which they keep.
     pub(crate) ready: AtomicU32,
     pub(crate) name: [AtomicU64; 2],
     _line: [AtomicU64; 3],
-    /// The number up to which a recorder has everything.
+    /// The number up to which a recorder has fetched all events.
     pub(crate) drained: AtomicU64,
 }
 
@@ -39,10 +39,10 @@ pub(crate) struct Ring<'m> {
     events: &'m [AtomicU64],
 }
 
-/// What a reader got.
+/// The result of reading a ring.
 #[derive(Debug, PartialEq, Eq, Default)]
 pub(crate) struct Drained {
-    /// Where to go on reading.
+    /// The number of the event from which to continue.
     pub(crate) next: u64,
     /// Events that were overwritten before they were read.
     pub(crate) lost: u64,
@@ -72,15 +72,15 @@ impl<'m> Ring<'m> {
         }
     }
 
-    /// Appends an event. Only the thread that owns the ring may.
+    /// Appends an event. Only the thread that owns the ring may do so.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
     pub(crate) fn push(&self, words: [u64; WORDS]) {
-        // Between two pushes begun and committed are the same; read where only this thread writes and loom sees every race.
+        // Between two pushes `begun` and `committed` are equal. `begun` is loaded because loom then finds every race.
         let number = self.head.begun.load(Ordering::Relaxed);
         self.head.begun.store(number.wrapping_add(1), Ordering::Relaxed);
-        // Pairs with the fence in `drain`: whoever reads a word below reads this `begun`, too.
+        // Pairs with the fence in `drain`: a reader that gets a word from below gets this `begun`, too.
         fence(Ordering::Release);
         for (slot, word) in self.at(number).iter().zip(words) {
             slot.store(word, Ordering::Relaxed);
@@ -89,8 +89,8 @@ impl<'m> Ring<'m> {
         self.head.committed.store(number.wrapping_add(1), Ordering::Release);
     }
 
-    /// Copies the events from number `from` on to the end of `copy`. What the head says is another process's claim: with a
-    /// wrong one the answer is wrong, not more.
+    /// Copies the events from number `from` on to the end of `copy`. The head is written by another process: if it is wrong, the
+    /// result is wrong, and nothing worse happens.
     pub(crate) fn drain(&self, from: u64, copy: &mut Vec<[u64; WORDS]>) -> Drained {
         let committed = self.head.committed.load(Ordering::Acquire);
         if committed < from {
@@ -112,13 +112,13 @@ impl<'m> Ring<'m> {
         Drained { next: committed, lost: whole - from }
     }
 
-    /// Whether it has memory and is nobody's.
+    /// Whether the ring has memory and no owner.
     pub(crate) fn is_spare(&self) -> bool {
-        // Acquire: pairs with the Release of the thread that got its memory.
+        // Acquire: pairs with the Release of the thread that gave the ring memory.
         self.head.ready.load(Ordering::Acquire) != 0 && self.head.tid.load(Ordering::Relaxed) == 0
     }
 
-    /// Makes the ring, if it has memory and is nobody's, the one of the thread `tid`.
+    /// Gives the ring to the thread `tid`, if it has memory and no owner. Returns whether it did.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
@@ -127,7 +127,7 @@ impl<'m> Ring<'m> {
         self.is_spare() && self.head.tid.compare_exchange(0, tid, Ordering::AcqRel, Ordering::Relaxed).is_ok()
     }
 
-    /// Whether a recorder has everything.
+    /// Whether a recorder has fetched all events.
     pub(crate) fn is_drained(&self) -> bool {
         self.head.drained.load(Ordering::Relaxed) == self.head.committed.load(Ordering::Relaxed)
     }

@@ -18,21 +18,21 @@ pub(crate) enum EventSink {
 }
 
 thread_local! {
-    // With the generation it is of. Needs no destructor: the ring of an ended thread is given back by `process::attend`.
+    // The place and its generation. Needs no destructor: the ring of an ended thread is given back by `process::attend`.
     static PLACE: Cell<(u64, EventSink)> = const { Cell::new((0, EventSink::Nowhere)) };
 }
 
-/// Counts the files that this process has had; zero before the first. Rings are of one of them.
+/// Counts the files that this process has had; zero before the first. A ring belongs to one of them.
 static GENERATION: AtomicU64 = AtomicU64::new(0);
 
 /// The current map, for threads that must not take a lock: null, or one of those that [`change_map`] has leaked.
 static MAP: AtomicPtr<Map> = AtomicPtr::new(core::ptr::null_mut());
 
-/// The process has a new file. One caller at a time.
+/// Makes threads use the process's new file. One caller at a time.
 pub(crate) fn change_map(map: Map) {
     // SAFETY: as in `find_place`.
     if unsafe { MAP.load(Ordering::Relaxed).as_ref() } != Some(&map) {
-        // One for each place where a file of this process was mapped: one, unless the size of its rings changed.
+        // Leaks one map for each address at which files were mapped: a single one, unless the size of the rings changed.
         MAP.store(Box::leak(Box::new(map)), Ordering::Release);
     }
     // Release: pairs with the Acquire in `place`.
@@ -79,7 +79,7 @@ fn cached() -> Option<EventSink> {
 pub(crate) fn place() -> EventSink {
     // Acquire: pairs with the Release in `change_map`.
     let generation = GENERATION.load(Ordering::Acquire);
-    // No thread-local any more: the thread is going down.
+    // The thread-local was destroyed: the thread is ending.
     let Ok((of, place)) = PLACE.try_with(Cell::get) else { return EventSink::Nowhere };
     if of == generation && matches!(place, EventSink::Ring(_)) {
         return place;
@@ -93,7 +93,7 @@ pub(crate) fn place() -> EventSink {
 fn find_place() -> EventSink {
     // SAFETY: null, or a leaked Map, whose memory is never unmapped. Acquire: pairs with the Release in `change_map`.
     let Some(map) = (unsafe { MAP.load(Ordering::Acquire).as_ref() }) else { return EventSink::Nowhere };
-    // A thread without a ring comes here with every event: no syscall if there is none to be had.
+    // A thread without a ring comes here with every event, so there is no syscall if no ring is free.
     if !(0..RINGS).any(|index| map.ring(index).is_spare()) {
         return EventSink::Counted(map.unrecorded());
     }
@@ -117,7 +117,7 @@ fn copy(to: &mut [u8], from: &[u8]) -> usize {
     to.iter_mut().zip(from).map(|(to, from)| *to = *from).count()
 }
 
-/// The name that the kernel knows the current thread by; without allocating.
+/// Reads the kernel's name of the current thread, without allocating. Returns its length.
 fn comm(name: &mut [u8; 16]) -> usize {
     let file = rustix::fs::open(c"/proc/thread-self/comm", OFlags::RDONLY | OFlags::CLOEXEC, Mode::empty());
     let read = file.and_then(|file| rustix::io::read(file, &mut name[..])).unwrap_or(0);

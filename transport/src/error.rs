@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What can go wrong: [`TransportError`] while setting up, one small enum per operation while running.
+//! Errors: [`TransportError`] for set-up, and one small enum per operation at run time.
 
 use crate::names::{REQUESTS, RESPONSES};
 use rustix::io::Errno;
@@ -42,7 +42,7 @@ pub enum TransportError {
     /// A slot, a callback's bell or the sampler's role is not available.
     #[error(transparent)]
     Doorbell(#[from] DoorbellError),
-    /// A forked child uses what its parent made.
+    /// A forked child uses a context, publisher or subscription of its parent.
     #[error(
         "this process was forked from one that had joined domain {domain}, and owns nothing of what that made: create a context (participant) of its own after the fork"
     )]
@@ -116,9 +116,9 @@ pub enum TransportError {
     Memory {
         /// The topic.
         topic: String,
-        /// How much is needed.
+        /// Number of bytes that are needed.
         bytes: u64,
-        /// Of one sample.
+        /// Size of one sample.
         sample_bytes: usize,
         /// The system's error.
         source: io::Error,
@@ -149,14 +149,14 @@ pub enum TransportError {
 }
 
 impl TransportError {
-    /// Whether the same may succeed later: the system said no, at its limit of open files for one. What a file is, and whose, does not
-    /// change.
+    /// Whether the same operation may succeed later: a system call failed, for example at the limit of open files. Errors about the type
+    /// or the owner of a file are permanent.
     pub fn is_passing(&self) -> bool {
         matches!(self, TransportError::File { source, .. } if source.raw_os_error().is_some())
     }
 }
 
-/// What a topic is called: that of a service's requests is the service.
+/// The name of a topic for messages; for a topic of a service's requests or responses, that of the service.
 pub(crate) fn named(topic: &str) -> String {
     let service = topic.strip_prefix(REQUESTS).or_else(|| topic.strip_prefix(RESPONSES));
     match service {
@@ -214,7 +214,7 @@ pub enum PublishError {
 pub struct BurstError<E = PublishError> {
     /// How many messages were published: those before the one that was not.
     pub published: usize,
-    /// Why that one was not.
+    /// Why the next one was not.
     pub error: E,
 }
 
@@ -281,7 +281,7 @@ pub enum TakeError {
     Invalid(DecodeError),
 }
 
-/// What to do about what the system said of a file in /dev/shm; an error of our own says it itself.
+/// The remedy for a system error at a file in /dev/shm; empty for other errors, which state it themselves.
 fn fix(error: &io::Error) -> &'static str {
     match Errno::from_io_error(error) {
         None => "",

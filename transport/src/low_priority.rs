@@ -3,10 +3,10 @@
 
 use tautline_rt::{Policy, Realtime, RtError, ThreadBuilder};
 
-/// A thread of nice 5, or nicer if this one is.
+/// The builder of a thread with nice 5, or with this thread's policy if that is nicer.
 pub(crate) fn low_priority_thread(name: &str) -> Result<ThreadBuilder, RtError> {
     let builder = ThreadBuilder::new(name);
-    // One that is nicer already, or batch or idle, stays so: an ordinary user cannot go back.
+    // A nicer, batch or idle policy is kept: an unprivileged user cannot change it back.
     Ok(match tautline_rt::current_policy()? {
         Policy::Other { nice: 5.. } | Policy::Unmanaged(_) => builder.realtime(Realtime::Off),
         _ => builder.policy(Policy::Other { nice: 5 }),

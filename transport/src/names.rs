@@ -1,16 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which names nodes, topics, services and types can have.
+//! Valid names of nodes, topics, services and types.
 
-/// ROS 2's limit of names.
+/// Maximum length of a name, as in ROS 2.
 pub(crate) const MAX_NAME_BYTES: usize = 255;
-/// Start the names of the topics that make services. ':' cannot be in a topic's name.
+/// Prefixes of the two topics that a service consists of. Other names of topics cannot contain ':'.
 pub(crate) const REQUESTS: &str = "request:";
 pub(crate) const RESPONSES: &str = "response:";
-/// How a type hash begins, and how long it is.
+/// Prefix of a type hash, and number of digits after it.
 pub(crate) const HASH_PREFIX: &str = "RIHS01_";
 pub(crate) const HASH_DIGITS: usize = 64;
 
-/// Whether this is `/a/b`, of ROS tokens.
+/// Whether this is an absolute name of ROS tokens, such as `/a/b`.
 pub(crate) fn is_absolute(name: &str) -> bool {
     name.len() <= MAX_NAME_BYTES && name.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_token))
 }
@@ -23,13 +23,13 @@ pub(crate) fn is_token_char(c: char) -> bool {
     c.is_ascii_alphanumeric() || c == '_'
 }
 
-/// Whether a topic can have this name. More than ROS 2 allows, but nothing that a terminal would obey.
+/// Whether a topic can have this name. Allows more than ROS 2, but no control characters, which a terminal would interpret.
 pub(crate) fn is_topic(name: &str) -> bool {
     let bare = name.strip_prefix(REQUESTS).or_else(|| name.strip_prefix(RESPONSES)).unwrap_or(name);
     (1..=MAX_NAME_BYTES).contains(&bare.len()) && bare.chars().all(|c| !c.is_control() && c != ':')
 }
 
-/// Names of types are not ROS 2's alone.
+/// Whether a type can have this name and hash. Allows names that are not names of ROS 2 types.
 pub(crate) fn is_type(name: &str, hash: Option<&str>) -> bool {
     let is_name =
         (1..=MAX_NAME_BYTES).contains(&name.len()) && name.bytes().all(|byte| byte.is_ascii_graphic());

@@ -207,16 +207,16 @@ pub enum Claim {
     #[default]
     Ahead,
     /// When it is first needed: a loan may make system calls and cause page faults; before that no memory is used. Publishing takes a lock
-    /// for that, which the janitor may hold while it maps memory; it runs at the publishing thread's priority meanwhile. For messages
-    /// that are sent seldom, and for threads that need no bound.
+    /// for that, which the janitor may hold while it maps memory; the janitor inherits the publishing thread's priority meanwhile. For
+    /// messages that are sent seldom, and for threads that need no bound.
     OnUse,
 }
 
 /// The limits of a publisher or a subscription. Each endpoint has its own limits, independent of other
 /// endpoints.
 ///
-/// A publisher has memory for `depth + held + loans` samples, where `depth` is the greatest of its subscriptions' (and its own, if it
-/// is transient local), and `held` the sum of theirs, and for spare ones; [`topic_memory`](crate::topic_memory) computes the bytes.
+/// A publisher has memory for `depth + kept + held + loans` samples and for spare ones: `kept` is its own depth if it is transient local,
+/// `depth` the greatest of `kept` and its subscriptions' depths, `held` the sum of their limits. See [`topic_memory`](crate::topic_memory).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Limits {
     /// Of a subscription: maximum number of samples that it can hold at once. 4 by default.
@@ -233,8 +233,8 @@ pub struct Limits {
     /// When a publisher's memory is claimed. Ahead by default.
     pub claim: Claim,
     /// Of a publisher whose memory is claimed ahead, with samples from 16 KiB: bytes at most for spare samples, so that a sample has left
-    /// the caches of the core that read it before it is written again. No more are claimed than the caches ask for: with the samples in
-    /// flight four times a core's second-level cache, or a quarter of the third-level cache. 8 MiB by default; 0: the smallest pool.
+    /// the caches of the core that read it before it is written again. With the samples in flight at most four second-level caches, or a
+    /// quarter of the third-level cache if that is less; none if a quarter is at most two second-level caches. 8 MiB by default; 0: none.
     pub spare_bytes: usize,
 }
 

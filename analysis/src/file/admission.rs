@@ -19,7 +19,7 @@ pub struct Share<'f> {
     pub file: &'f SystemFile,
     /// Which of its hosts the machine is.
     pub host: &'f str,
-    /// Its name for people: its path.
+    /// Its name in messages: its path.
     pub label: &'f str,
 }
 
@@ -43,7 +43,7 @@ pub struct LooseThread {
     pub jitter_ns: u64,
     /// The processor time of a job.
     pub budget_ns: Option<u64>,
-    /// The deadline of a job, relative to its release; `None`: nobody waits for it.
+    /// The deadline of a job, relative to its release; `None`: it cannot be late.
     pub deadline_ns: Option<u64>,
 }
 
@@ -153,7 +153,7 @@ impl<'f> Machine<'f> {
             broken.retain(|(key, broken)| broken.is_own || before.iter().all(|(other, _)| other != key));
         }
         broken.sort_by_key(|(_, broken)| !broken.is_own);
-        // A thread that may run on several cores is there once for each.
+        // A thread that may run on several cores appears once for each.
         broken.dedup_by(|(a, _), (b, _)| a == b);
         Admission { checked, broken: broken.into_iter().map(|(_, broken)| broken).collect() }
     }
@@ -164,7 +164,7 @@ impl<'f> Machine<'f> {
         self.shares.iter().position(is_same)
     }
 
-    /// All deadlines that are not met, each with what tells it from others.
+    /// Returns all deadlines that are not met, each with its key.
     fn unmet(&self, union: &Union, checked: &CheckedSystem, own: Origin) -> Vec<(Key, Broken)> {
         let broken = |kind: &'static str, key: &(Origin, usize), response_ns, deadline_ns| {
             let (name, label) = self.name_of(kind, *key);
@@ -172,7 +172,7 @@ impl<'f> Machine<'f> {
             ((kind, key.0, key.1), broken)
         };
         let callbacks = checked.callbacks.iter().zip(&union.callbacks).filter(|(callback, _)| !callback.met);
-        // Nobody waits for a thread that states no deadline.
+        // A thread that states no deadline misses none.
         let callbacks = callbacks.filter(|(_, (origin, _))| self.has_deadline(*origin));
         let callbacks = callbacks.map(|(callback, key)| {
             broken("callback", key, callback.response_overhead_ns, callback.entry.deadline_ns)
@@ -209,7 +209,7 @@ impl<'f> Machine<'f> {
         for (index, share) in self.shares.iter().enumerate() {
             union.add_file(Origin::File(index), share);
         }
-        // Those that may run anywhere last: by then all cores are known.
+        // Threads that may run on any core come last: by then all cores are known.
         let (floating, pinned): (Vec<_>, Vec<_>) =
             self.threads.iter().enumerate().partition(|(_, thread)| thread.core.is_none());
         for (index, thread) in pinned.into_iter().chain(floating) {
@@ -234,7 +234,7 @@ enum Origin {
 
 type Key = (&'static str, Origin, usize);
 
-/// Several systems in one, which is no file's: its order is that of what it was made of.
+/// Several systems as one. It has no file of its own; its order is that of the files and threads that it was made of.
 #[derive(Default)]
 struct Union {
     file: SystemFile,
@@ -245,7 +245,7 @@ struct Union {
     groups: u32,
 }
 
-/// The machine itself, whatever a file calls it.
+/// The name of the machine itself, whatever a file calls it.
 const HERE: &str = "";
 
 impl Union {
@@ -259,7 +259,7 @@ impl Union {
             self.callbacks.push((origin, index));
         }
         let groups = self.groups;
-        // Where else a reservation may run follows from all cores; the copies come last.
+        // The copies of a reservation on other cores depend on all cores, and come last: see `follow`.
         for callback in file.system.callbacks.iter().filter(|callback| callback.copy_of.is_none()) {
             let mut callback = Callback { core: cores[callback.core], ..callback.clone() };
             (callback.task.blocking_ns, callback.task.lock_waits) = (0, 0);
@@ -301,7 +301,7 @@ impl Union {
         self.file.warnings.extend(file.warnings.iter().cloned());
     }
 
-    /// A thread is a task of its own: on each core of the machine, if it may run on several.
+    /// Adds a thread as a task of its own: on each core of the machine, if it may run on several.
     fn add_thread(&mut self, origin: Origin, thread: &LooseThread) {
         let here = |entry: &(usize, &CoreEntry)| entry.1.host == HERE;
         let core = |number| CoreEntry { host: HERE.to_owned(), number, sampler_priority: 99, stall_ns: 0 };
@@ -314,7 +314,7 @@ impl Union {
         };
         // A reservation on any core is copied to the others like a file's.
         let cores = if thread.reservation.is_some() { &cores[..1] } else { &cores[..] };
-        // What says nothing of its load is taken to use all there is.
+        // A thread that does not state its load is assumed to use the whole core.
         let (period_ns, wcet_ns) = match (thread.period_ns, thread.budget_ns) {
             (Some(period_ns), Some(budget_ns)) => (period_ns.max(1), budget_ns.max(1)),
             _ => (1_000_000_000, 1_000_000_000),
@@ -356,7 +356,7 @@ impl Union {
         }
     }
 
-    /// What follows only from all together: where reservations may run, and who waits for whose locks.
+    /// Adds what depends on the whole union: the copies of reservations on other cores, and the blocking by locks.
     fn follow(&mut self) {
         let SystemFile { callbacks: entries, cores, system, locks, .. } = &mut self.file;
         let floating = entries.iter().filter(|entry| entry.floats);
@@ -374,7 +374,7 @@ impl Union {
         self.core(entry, file.system.cores[core].overheads)
     }
 
-    /// A core costs, and stalls, what the most careful of all says, and its lowest sampler is what callbacks have to be below.
+    /// Adds a core, or merges it with the same core: the worst overheads and stall count, and callbacks stay below the lowest sampler.
     fn core(&mut self, core: CoreEntry, costs: Overheads) -> usize {
         let is_it = |entry: &CoreEntry| (&entry.host, entry.number) == (&core.host, core.number);
         match self.file.cores.iter().position(is_it) {
@@ -394,7 +394,7 @@ impl Union {
         }
     }
 
-    /// Gives names that several have the labels of what they are from.
+    /// Appends the labels of their origins to names that several callbacks have.
     fn tell_apart<'l>(&mut self, label: impl Fn(Origin) -> &'l str) {
         let mut counts: BTreeMap<String, usize> = BTreeMap::new();
         for entry in &self.file.callbacks {
@@ -411,7 +411,7 @@ impl Union {
     }
 }
 
-/// Ticks that cost most, and the shortest time for real-time work.
+/// Returns the larger overheads, the ticks that cost most, and the throttling with the shortest time for real-time work.
 fn worse(a: &Overheads, b: &Overheads) -> Overheads {
     let load = |of: &Overheads| u128::from(of.tick_ns) * 1_000_000 / u128::from(of.tick_period_ns.max(1));
     let ticks = if load(b) > load(a) { b } else { a };

@@ -24,7 +24,7 @@ pub(super) fn build(text: &str) -> Result<SystemFile, Problems> {
     let problems = Collector::new(text);
     let table = reader::parse(&problems, text, "`wcet = \"1.5ms\"` below `[callbacks.scan]`")?;
     let mut root = Section::root(&table, &problems);
-    // Of another version all keys may mean something else: nothing but that is reported.
+    // In another version all keys may mean something else: only the version is reported.
     version::check(&mut root);
     problems.check()?;
     let file = sections::read(root);
@@ -67,7 +67,7 @@ struct Builder<'f> {
     threads: Vec<Thread>,
     /// The thread of each callback.
     owner: Vec<usize>,
-    /// Of each thread.
+    /// Who wakes each thread.
     wake_ups: Vec<WakeUp>,
 }
 
@@ -114,7 +114,7 @@ impl Builder<'_> {
         }
         let owner = self.owner.clone();
         let overheads: Vec<_> = self.cores.iter().map(|(host, _)| self.overheads(*host)).collect();
-        // Inherited periods, for policies and default deadlines: triggers may come after what they trigger.
+        // Sets inherited periods, for policies and default deadlines: triggers may come after the callbacks that they trigger.
         let mut system = System { callbacks, ..System::default() };
         for (i, period_ns) in system.periods_ns().into_iter().enumerate() {
             system.callbacks[i].task.period_ns = period_ns;
@@ -129,7 +129,7 @@ impl Builder<'_> {
         let task_owner: Vec<usize> = (0..owner.len())
             .flat_map(|i| std::iter::repeat_n(owner[i], self.streams.tasks(i).len()))
             .collect();
-        // Of a reservation on cores that are not its own nothing is chosen.
+        // No priority is chosen for the copies of a reservation on other cores.
         let is_own = |i: &usize| *i < own;
         let mut warnings = Vec::new();
         for (core, overheads) in overheads.iter().enumerate() {
@@ -176,7 +176,7 @@ impl Builder<'_> {
         task.deadline_ns = ns(&declared.deadline);
         let takes = self.streams.is_join(index) && source != Source::All;
         if takes {
-            // It only puts a message aside; the least that the analysis takes, without what the machine costs.
+            // It only stores a message: `take`, or else the least that the analysis accepts, without overheads.
             task.wcet_ns = ns(&declared.take).max(1);
             (task.bcet_ns, task.non_preemptive_ns) = (0, task.non_preemptive_ns.min(task.wcet_ns));
         }
@@ -193,7 +193,7 @@ impl Builder<'_> {
                 trigger = Some((self.streams.outputs(publisher).start + stream, self.transfer(network)));
                 (1, 0, 0)
             }
-            // What follows from its inputs.
+            // Its releases follow from its inputs.
             Source::All => (1, 0, 0),
         };
         let costs = self.costs(place.host);
@@ -202,7 +202,7 @@ impl Builder<'_> {
             Client::Rclcpp => costs.rclcpp,
             Client::Rclpy => costs.rclpy,
         };
-        // What holds its jobs to their budget is done in its thread, too.
+        // The enforcement of its budget also takes place in its thread.
         let held = costs.demotion.filter(|_| declared.holds().is_some());
         task.executor_overhead_ns = executor.unwrap_or(0).saturating_add(held.unwrap_or(0));
         task = task.released(Release::periodic(period).jitter(jitter).min_distance(distance));
@@ -229,7 +229,7 @@ impl Builder<'_> {
         Callback { trigger, ..Callback::new(task, place.core) }
     }
 
-    /// What a task that takes messages for a join is called besides: its topic, and of several publishers whose it takes.
+    /// Returns the suffix of the name of a task that takes messages for a join: its topic, and its publisher if there are several.
     fn taken(&self, index: usize, source: Source, topic: usize) -> String {
         let name = &self.file.callbacks[index].topics[topic].value;
         let several = self.streams.topics(index).iter().filter(|of| **of == topic).count() > 1;
@@ -248,7 +248,7 @@ impl Builder<'_> {
         group.is_ranked().then_some(callback.priority.as_ref().map_or(0, |priority| priority.value))
     }
 
-    /// An executor of ROS 2's polls in rounds, unless the RMW orders what it sees, and a join takes all that is queued for it: neither keeps an order.
+    /// Returns a group's order. ROS 2's executors poll in rounds, unless the RMW sorts, and a join drains its queues: neither keeps one.
     fn order(&self, thread: usize, group: usize) -> Order {
         let first = self.threads[thread].callbacks[0];
         let joins = self.threads[thread].callbacks.iter().any(|i| self.streams.is_join(*i));
@@ -348,10 +348,10 @@ impl Builder<'_> {
         Chain { name: declared.name.clone(), parts, deadline_ns: declared.deadline.unwrap_or(u64::MAX) }
     }
 
-    /// Who else writes what a callback reads of the chain so far, of the topic on which that is nobody if there is one.
+    /// Returns another writer of what `reader` reads of the chain so far; `None` if it can read that from a topic without another writer.
     fn overwritten_by(&self, before: usize, reader: usize, parts: &[Part]) -> Option<String> {
         let part = parts.last()?;
-        // What passes on the event of a way of the first part; all that the first stage of another does reflects what it read.
+        // The tasks that pass on an event of the way's first task. In a later part, all that the first stage does reflects what it read.
         let carries = |first: usize| -> Vec<usize> {
             let ways = part.ways.iter().filter(|way| parts.len() > 1 || way[0] == first);
             ways.filter_map(|way| way.last().copied()).collect()
@@ -446,7 +446,7 @@ impl Builder<'_> {
     }
 }
 
-/// Checks that jobs which are to be held to their budgets can be.
+/// Checks that the budgets which the file wants to be enforced can be.
 fn hold(file: &Declared, places: &[Option<Place>], streams: &Streams, problems: &Collector) {
     for (i, (callback, place)) in file.callbacks.iter().zip(places).enumerate() {
         let Some(overrun) = callback.overrun.as_ref().filter(|_| callback.holds().is_some()) else {
@@ -489,7 +489,7 @@ fn hold(file: &Declared, places: &[Option<Place>], streams: &Streams, problems: 
     }
 }
 
-/// An executor of ROS 2's takes what is ready in rounds, or the RMW shows it the highest priority alone.
+/// Checks the orders of groups. ROS 2's executors take ready callbacks in rounds, or the RMW shows them only the highest priority.
 fn orders(file: &Declared, places: &[Option<Place>], threads: &[Thread], problems: &Collector) {
     for thread in threads {
         let Some(group) = thread.group.map(|group| &file.groups[group]) else { continue };
@@ -527,7 +527,7 @@ fn orders(file: &Declared, places: &[Option<Place>], threads: &[Thread], problem
     }
 }
 
-/// Checks that messages which are to meet by their stamps can.
+/// Checks that messages which are to be matched by their stamps can be.
 fn meet(file: &Declared, streams: &Streams, problems: &Collector) {
     let period = |first: &First| match first {
         First::Callback(i) | First::Join(i) => file.callbacks[*i].period.as_ref().map(|period| period.value),
@@ -576,7 +576,7 @@ fn meet(file: &Declared, streams: &Streams, problems: &Collector) {
             ));
             continue;
         }
-        // Topics from outside may be triggered together, two callbacks are not.
+        // Topics from outside may be triggered together; two callbacks are not.
         let apart = firsts.iter().position(|first| {
             *first != firsts[0] && !matches!((first, firsts[0]), (First::Topic(_), First::Topic(_)))
         });
@@ -592,7 +592,7 @@ fn meet(file: &Declared, streams: &Streams, problems: &Collector) {
     }
 }
 
-/// Whose stamps those of what is released first are: a join by equal stamps passes on what it got.
+/// Returns the source of a message's stamps: a join by equal stamps passes on the stamps that it got.
 fn stamped_by(file: &Declared, streams: &Streams, mut first: First) -> First {
     while let First::Join(join) = first
         && file.callbacks[join].window.as_ref().is_some_and(|window| window.value == 0)
@@ -602,7 +602,7 @@ fn stamped_by(file: &Declared, streams: &Streams, mut first: First) -> First {
     first
 }
 
-/// Checks that the fastest of some topics is known.
+/// Checks that it is known which topic is the fastest.
 fn paced(
     callback: &super::declared::Callback,
     shared: Option<&str>,
@@ -616,7 +616,7 @@ fn paced(
             "`{topic}` comes from several publishers, or from one with several triggers, so that it has no rate of its own"
         )
     } else {
-        // Of those whose rate is not their own, such as of a join, the analysis says more.
+        // The analysis reports topics without a rate of their own, such as those of a join.
         let Some(fastest) = periods.iter().flatten().min() else { return };
         let fast = periods.iter().zip(&callback.topics);
         let mut fast = fast.filter(|(period, _)| period.as_ref() == Some(fastest));

@@ -159,7 +159,7 @@ pub(super) fn check(file: &SystemFile) -> CheckedSystem {
     CheckedSystem { schedulable, callbacks, chains, cores, warnings }
 }
 
-/// A system without problems is refused only for times that do not fit the arithmetic.
+/// Returns the result for a system that is refused. A file without problems is refused only for times that do not fit the arithmetic.
 fn refused(file: &SystemFile, error: &AnalysisError) -> CheckedSystem {
     let empty = without_bounds(file, error);
     let callback = |entry: &CallbackEntry| checked_callback(file, entry, &empty, &empty, None);
@@ -185,7 +185,7 @@ fn waits(report: &SystemReport, entry: &CallbackEntry) -> bool {
     entry.tasks.clone().any(waits)
 }
 
-/// From the arrival of a message of the file, else from the nominal release; the longest of its streams.
+/// Returns the longest response of its streams: from the arrival of a message of the file, else from the nominal release.
 fn response(file: &SystemFile, entry: &CallbackEntry, report: &SystemReport) -> Option<u64> {
     let of_stream = |i: usize| {
         let response = report.callbacks[i].as_ref().ok()?;
@@ -195,7 +195,7 @@ fn response(file: &SystemFile, entry: &CallbackEntry, report: &SystemReport) -> 
     entry.tasks.clone().map(of_stream).try_fold(0, |longest, response| Some(longest.max(response?)))
 }
 
-/// What takes its messages: of a join, not the task that runs when all are there.
+/// Returns the tasks that take its messages; of a join, without the task that runs when all messages are there.
 fn takers(entry: &CallbackEntry) -> Range<usize> {
     entry.tasks.start + usize::from(entry.joins)..entry.tasks.end
 }
@@ -336,7 +336,7 @@ fn cores(file: &SystemFile, report: &SystemReport) -> Vec<CheckedCore> {
     file.cores.iter().enumerate().map(core).filter(|core| !core.tasks.is_empty()).collect()
 }
 
-/// Why callbacks have no bound: causes first, then what follows from them; of each as many as a person reads.
+/// Returns why callbacks have no bound: causes first, then their consequences, at most 10 of each.
 fn unbounded(report: &SystemReport) -> Vec<String> {
     const MOST: usize = 10;
     let errors = report.callbacks.iter().filter_map(|outcome| outcome.as_ref().err());
@@ -373,7 +373,7 @@ fn shared_priorities(callbacks: &[CheckedCallback]) -> impl Iterator<Item = Stri
     })
 }
 
-/// A warning for each join that may not pass on for ever what it got.
+/// A warning for each join that may never pass on the messages that it got.
 fn starved(file: &SystemFile, report: &SystemReport) -> impl Iterator<Item = String> {
     file.callbacks.iter().filter_map(|entry| {
         let join = report.joins[entry.tasks.start].as_ref().filter(|join| join.reflected_ns.is_none())?;

@@ -84,7 +84,7 @@ impl<'f> Graph<'f> {
         }
     }
 
-    /// What a callback waits for: several topics, each once, and only then a window.
+    /// Checks what a callback waits for: several topics, each once; only then it may have a window.
     fn check_join(&self, callback: &Callback, problems: &Collector) {
         let name = &callback.name;
         let Some(all) = callback.all else {
@@ -174,7 +174,7 @@ impl<'f> Graph<'f> {
         }
     }
 
-    /// A message between hosts needs a remote topic and a network.
+    /// Checks that a message between hosts has a remote topic and a network.
     fn check_way(
         &self,
         callback: usize,
@@ -239,7 +239,7 @@ impl<'f> Graph<'f> {
             let periods = if own.is_empty() { outside.collect() } else { own };
             sources.extend(periods.into_iter().map(|period| (period.value, i)));
         }
-        // The shortest first: whoever is reached has it, and all that it triggers.
+        // The shortest first: a callback that is reached has this period, and so have all that it triggers.
         sources.sort_unstable();
         let triggered = self.triggered();
         let mut shortest = vec![None; self.file.callbacks.len()];

@@ -9,7 +9,7 @@ use super::streams::Streams;
 use crate::system::System;
 use crate::{CriticalSection, Hold, LockProtocol, Task, blocking};
 
-/// A lock blocks only within a core.
+/// Checks that the callbacks that share a lock are on one core.
 pub(super) fn check(file: &Declared, places: &[Option<Place>], problems: &Collector) {
     let mut seen: HashMap<&str, (usize, usize)> = HashMap::new();
     for (i, (callback, place)) in file.callbacks.iter().zip(places).enumerate() {
@@ -32,7 +32,7 @@ pub(super) fn check(file: &Declared, places: &[Option<Place>], problems: &Collec
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Lock {
     pub task: usize,
-    /// How many tasks from that one on are of its callback, one for each way that messages reach it.
+    /// How many tasks from `task` on belong to its callback, one for each way that messages reach it.
     pub streams: usize,
     pub resource: String,
     pub length_ns: u64,
@@ -55,7 +55,7 @@ pub(super) fn of(file: &Declared, streams: &Streams) -> Vec<Lock> {
     file.callbacks.iter().enumerate().flat_map(of).collect()
 }
 
-/// Sets what lower priorities of each core may hold each task up by their locks.
+/// Sets the time for which lower priorities of each core may block each task by their locks.
 pub(super) fn block(locks: &[Lock], system: &mut System) {
     let tasks: Vec<Task> = match locks {
         [] => return,
@@ -111,7 +111,7 @@ pub(super) fn block(locks: &[Lock], system: &mut System) {
     }
 }
 
-/// How often a job may wait for locks that inherit, held by lower ones: once for each of these, and once for each lock.
+/// Returns how often a job may wait for inheriting locks that lower threads hold: once for each such thread, and once for each lock.
 fn waits(of: &Lock, locks: &[Lock], tasks: &[Task]) -> u64 {
     let own = &tasks[of.task];
     let thread = |lock: &Lock| tasks[lock.task].group.map_or(Err(lock.task), |group| Ok(group.id));

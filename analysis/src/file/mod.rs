@@ -74,7 +74,7 @@ pub struct CallbackEntry {
     pub client: Client,
     /// Name of the thread that runs it.
     pub thread: String,
-    /// The group whose thread that is; `None` for a thread of its own.
+    /// The group that the thread belongs to; `None` for a thread of its own.
     pub group: Option<String>,
     /// Index of its core in [`SystemFile::cores`].
     pub core: usize,
@@ -128,7 +128,7 @@ pub struct TopicEntry {
     pub remote: bool,
     /// Its priority on a busy link; `None`: by size, smaller messages first.
     pub priority: Option<LinkPriority>,
-    /// Whether its messages are sent at once instead of together with what follows shortly.
+    /// Whether its messages are sent at once instead of together with those that follow shortly.
     pub express: bool,
 }
 
@@ -177,7 +177,7 @@ pub enum JoinPolicy {
 }
 
 impl JoinPolicy {
-    /// Those that the file names.
+    /// The policies that the file names.
     pub const NAMED: [JoinPolicy; 2] = [JoinPolicy::ApproximateEpsilonTime, JoinPolicy::LatestTime];
 
     /// Its name in the file.
@@ -313,7 +313,7 @@ impl SystemFile {
         &self.cores
     }
 
-    /// The host that a process is on: the one it says, or the only one.
+    /// The host that a process is on: `wanted`, or the only one.
     ///
     /// # Errors
     /// The names of all hosts, if there are several and `wanted` is none of them.
@@ -346,8 +346,8 @@ impl SystemFile {
         free
     }
 
-    /// The same on machines that stand still, each core once until it has caught up, as [`taken`](crate::taken) puts it: as if every
-    /// task were blocked for its host's stall more. `None` if no host stalls.
+    /// The same on machines that stall, each core once until it has caught up. As in [`taken`](crate::taken), every task is blocked for its
+    /// host's stall more. `None` if no host stalls.
     fn system_with_stalls(&self) -> Option<System> {
         let stall_ns = |core: usize| self.cores[core].stall_ns;
         if self.cores.iter().all(|core| core.stall_ns == 0) {
@@ -381,7 +381,7 @@ impl SystemFile {
         }
         for entry in &self.callbacks {
             let stall_ns = stall_ns(entry.core);
-            // Its sampler may be on another core than it.
+            // Its sampler may be on another core.
             let split =
                 self.callbacks.iter().any(|other| other.node == entry.node && other.core != entry.core);
             let remote = |topic: &TopicEntry| topic.remote && entry.topics.contains(&topic.name);
@@ -390,7 +390,7 @@ impl SystemFile {
                 if split {
                     callback.task.blocking_ns = callback.task.blocking_ns.saturating_add(stall_ns);
                 }
-                // What comes from a host that is not in the file comes by this one's gateway.
+                // A message from a host that is not in the file comes through this host's gateway.
                 if remote && !callback.is_triggered() {
                     callback.task.jitter_ns = callback.task.jitter_ns.saturating_add(stall_ns);
                 }

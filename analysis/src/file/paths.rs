@@ -54,19 +54,19 @@ pub(super) struct Ways {
     pub tasks: Vec<Vec<usize>>,
 }
 
-/// The parts of a chain: the same message passes all of a part, where one callback triggers the next, or the next waits for it and others.
-/// One that reads at its own pace begins another part, with any of its streams.
+/// Returns the parts of a chain. The same message passes all of a part, where one callback triggers the next, or the next waits for it and
+/// others. A callback that reads at its own pace begins another part, with any of its streams.
 pub(super) fn parts(stages: &[usize], streams: &Streams, callbacks: &[Callback]) -> Vec<Ways> {
     let mut parts: Vec<Ways> = Vec::new();
     for &stage in stages {
-        // By what publishes.
+        // The triggered tasks, by the task that publishes.
         let mut triggered: HashMap<usize, Vec<usize>> = HashMap::new();
         for to in streams.tasks(stage) {
             if let Some((from, _)) = callbacks[to].trigger {
                 triggered.entry(from).or_default().push(to);
             }
         }
-        // What takes a message for a join hands it on to that.
+        // A task that takes a message for a join passes it on to the join.
         let join = streams.outputs(stage).next().filter(|_| streams.is_join(stage));
         let extend = |path: &Vec<usize>| -> Vec<Vec<usize>> {
             let next = path.last().and_then(|from| triggered.get(from)).into_iter().flatten();

@@ -37,7 +37,7 @@ pub(super) fn resolve(file: &Declared, problems: &Collector) -> (Vec<(usize, usi
         let title = format!("callback `{}`", callback.name);
         let core = match (&callback.core, &file.nodes[node].core) {
             (Some(core), _) => core_index(file, &cores, host, core, &title, problems)?,
-            // What is wrong with it is said where the node names it.
+            // A wrong core is reported where the node names it.
             (None, Some(core)) => {
                 cores.iter().position(|(h, c)| *h == host && i64::try_from(*c) == Ok(core.value))?
             }
@@ -45,7 +45,7 @@ pub(super) fn resolve(file: &Declared, problems: &Collector) -> (Vec<(usize, usi
                 let mut only = (0..cores.len()).filter(|i| cores[*i].0 == host);
                 match (only.next(), only.next()) {
                     (Some(core), None) => core,
-                    // Where its messages are charged; it may run on any.
+                    // The core to which its messages are charged; the callback may run on any.
                     (Some(core), _) if callback.floats.is_some() => core,
                     (None, _) => return None,
                     _ => {

@@ -37,7 +37,7 @@ pub(super) fn threads(file: &Declared, places: &[Option<Place>], problems: &Coll
         let stated = reserved.or(callback.priority.as_ref().map(|priority| priority.value));
         let of_group = group.and_then(|g| file.groups[g].priority.as_ref().map(|p| p.value));
         let known = group.and_then(|g| threads.iter_mut().find(|thread| thread.group == Some(g)));
-        // There a callback's own is its rank, and the group's is the thread's.
+        // In a ranked group a callback's own priority is its rank, and the group's is the thread's.
         let stated = if group.is_some_and(|g| file.groups[g].is_ranked()) { None } else { stated };
         let Some(thread) = known else {
             let (priority, callbacks) = (of_group.or(stated), vec![i]);
@@ -85,7 +85,7 @@ pub(super) fn threads(file: &Declared, places: &[Option<Place>], problems: &Coll
     threads
 }
 
-/// Two threads of one priority on a core must both say that they mean it.
+/// Checks that threads share a priority on a core only if both say so.
 fn duplicates(file: &Declared, threads: &[Thread], problems: &Collector) {
     let agrees = |thread: &Thread| thread.callbacks.iter().any(|i| file.callbacks[*i].shares_priority);
     for (i, thread) in threads.iter().enumerate() {

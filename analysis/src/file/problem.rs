@@ -42,7 +42,7 @@ pub struct Adder<'c>(&'c Collector<'c>, usize);
 impl Adder<'_> {
     /// Adds what is wrong there, and how to fix it.
     pub fn add(&self, message: impl Into<String>) {
-        // What the file contains does not reach a terminal as it is.
+        // Text of the file may reach a terminal, so unprintable characters are escaped.
         let mut shown = String::new();
         for c in message.into().chars() {
             match is_unprintable(c) {
@@ -64,8 +64,8 @@ impl<'a> Collector<'a> {
         Adder(self, at)
     }
 
-    /// `: did you mean ...?` if a known name is close to the one given, else nothing. A file of which nothing fits gets no more hints than a
-    /// person reads: each compares all names.
+    /// Returns `: did you mean ...?` if a known name is close to the one given, else nothing. A file gets a limited number of hints,
+    /// because each compares all names.
     pub(super) fn suggestion<'n>(&self, given: &str, known: impl IntoIterator<Item = &'n str>) -> String {
         const MOST_HINTS: u32 = 50;
         self.hints.update(|hints| hints.saturating_add(1));
@@ -92,7 +92,7 @@ impl<'a> Collector<'a> {
     }
 }
 
-/// What a terminal would obey instead of showing it: control characters, and those that turn the direction of text.
+/// Whether a terminal would interpret a character instead of showing it: control characters, and those that turn the direction of text.
 pub(super) fn is_unprintable(c: char) -> bool {
     c.is_control() || matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }

@@ -19,10 +19,10 @@ pub struct At<T> {
 /// A value, not read yet.
 pub type Value<'t> = Spanned<DeValue<'t>>;
 
-/// What `read` makes of a file's text. `example` is a line of such a file.
+/// Reads a file's text by `read`. `example` is a line of such a file.
 ///
 /// # Errors
-/// What is no TOML, else everything that `read` found wrong.
+/// Syntax that is not TOML, else everything that `read` found wrong.
 pub fn read<T>(text: &str, example: &str, read: impl FnOnce(Section<'_>) -> T) -> Result<T, Problems> {
     let problems = Collector::new(text);
     let table = parse(&problems, text, example)?;
@@ -36,7 +36,7 @@ pub(super) fn parse<'t>(
     example: &str,
 ) -> Result<Spanned<DeTable<'t>>, Problems> {
     let (table, errors) = DeTable::parse_recoverable(text);
-    // What a broken table contains is guesswork: only its syntax is reported.
+    // The content of a broken table is guesswork: only its syntax is reported.
     for error in errors {
         let message = error.message().trim_end().replace('\n', ", ");
         let at = error.span().map_or(0, |span| span.start);
@@ -47,7 +47,7 @@ pub(super) fn parse<'t>(
     problems.check().map(|()| table)
 }
 
-/// A table whose keys are asked for one by one; what nobody asked for is unknown.
+/// A table whose keys are read one by one; a key that was not read is unknown.
 pub struct Section<'t> {
     table: &'t DeTable<'t>,
     /// Its name in messages, such as "callback `imu`".
@@ -88,7 +88,7 @@ impl<'t> Section<'t> {
         self.table.get(key)
     }
 
-    /// What `read` makes of the sub-table of each name, in the order of the file.
+    /// Reads the sub-table of each name by `read`, in the order of the file.
     pub fn tables<T>(&mut self, key: &'static str, what: &str, read: fn(String, Self) -> T) -> Vec<T> {
         let Some(outer) = self.table(key) else { return Vec::new() };
         let mut entries: Vec<_> = outer.table.iter().collect();
@@ -197,7 +197,7 @@ impl<'t> Section<'t> {
         self.optional_flag(key).unwrap_or(false)
     }
 
-    /// `None` if it is not there.
+    /// True or false; `None` if it is not there.
     pub fn optional_flag(&mut self, key: &'static str) -> Option<bool> {
         let value = self.get(key)?;
         let flag = value.get_ref().as_bool();
@@ -234,7 +234,7 @@ impl<'t> Section<'t> {
         self.table.contains_key(key)
     }
 
-    /// Notes the keys that nobody asked for.
+    /// Adds a problem for each key that was not read.
     pub fn finish(self) {
         for key in self.table.keys() {
             let name: &str = key.get_ref();

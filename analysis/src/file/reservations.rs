@@ -78,8 +78,8 @@ pub(super) fn check(file: &Declared, places: &[Option<Place>], streams: &Streams
     }
 }
 
-/// A reservation that may run on any core of its host takes from all of them, at the most all that it has: there it is another callback, after
-/// all others.
+/// Adds copies of a callback, after all others, on the other cores of its host: a reservation that may run on any core takes time from each
+/// of them, at most all that it has.
 pub(super) fn copy(name: &str, task: usize, cores: &[CoreEntry], callbacks: &mut Vec<Callback>) {
     let own = callbacks[task].clone();
     let others =
@@ -87,7 +87,7 @@ pub(super) fn copy(name: &str, task: usize, cores: &[CoreEntry], callbacks: &mut
     callbacks.extend(others.map(|core| {
         let mut copy = Callback { core, copy_of: Some(task), ..own.clone() };
         copy.task.priority = Reservation::PRIORITY;
-        // What is wanted is wanted of the worst of them.
+        // The deadline applies to the worst of the copies.
         copy.task.deadline_ns = u64::MAX - 1;
         copy.task.name = format!("{name} (core {})", cores[core].number);
         copy

@@ -52,7 +52,7 @@ fn costs(section: &mut Section<'_>) -> Costs {
     Costs { context_switch, per_message, gateway, rclcpp, rclpy, demotion, tick, throttling }
 }
 
-/// What the kernel takes: see sched_deadline_period_* in its documentation.
+/// Reads a reservation that the kernel accepts: see sched_deadline_period_* in its documentation.
 fn reservation(section: &mut Section<'_>) -> Option<At<Reservation>> {
     const RUNTIME_NS: u64 = 1_024;
     const PERIOD_NS: std::ops::RangeInclusive<u64> = 100_000..=4_194_304_000;
@@ -100,7 +100,7 @@ fn latency(section: &mut Section<'_>) -> Option<(u64, u64)> {
     }
 }
 
-/// As many as Linux allows.
+/// The number of cores that Linux allows.
 const MOST_CORES: usize = 4_096;
 
 fn host(name: String, mut section: Section<'_>) -> Host {
@@ -149,7 +149,7 @@ fn cores(name: &str, section: &mut Section<'_>) -> Vec<usize> {
     }
 }
 
-/// No queue is made to outlast more than 10 s: that is no stall, but a machine that is off.
+/// Reads the longest stall. Queues are sized for at most 10 s: a longer stall is a machine that is off.
 fn stall(section: &mut Section<'_>) -> u64 {
     const MOST_NS: u64 = 10_000_000_000;
     let Some(stall) = section.time("stall") else { return 0 };

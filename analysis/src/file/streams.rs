@@ -29,7 +29,7 @@ pub(super) struct Streams {
     first: Vec<usize>,
 }
 
-/// What is released by itself.
+/// The first source of a stream of releases.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum First {
     Callback(usize),
@@ -61,8 +61,7 @@ impl Streams {
         first..first + self.sources[callback].len() + usize::from(self.joins[callback])
     }
 
-    /// What releases the first of those that trigger one another down to this source; of several that meet by equal stamps, of
-    /// one of them.
+    /// The first source of the chain of triggers that reaches `callback` by `source`. A join begins a new chain.
     pub fn first(&self, mut callback: usize, mut source: Source) -> First {
         loop {
             match source {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The version of the file's schema: it changes when a key goes or changes its meaning, not when one is added.
+//! The version of the file's schema: it changes when a key is removed or changes its meaning, not when one is added.
 use super::reader::Section;
 
 /// The version that is read. A file without the key `version` is of version 1.

@@ -4,8 +4,8 @@
 //! Bounds charge each message with the sampler's work, at the highest priority, on the core of the callback that takes it
 //! (`per_message`). A publisher that wakes the thread itself leaves that work out. It wakes the threads that take a topic one after the other,
 //! at its own priority: the first one on its core preempts it, whatever priority the next one has. So publishers wake a thread by themselves
-//! where nobody else takes its topics: then nothing is between the message and that thread, and each bound that holds with the sampler
-//! holds without it.
+//! where no other thread takes its topics: then nothing is between the message and that thread, and each bound that holds with the
+//! sampler holds without it.
 
 use std::collections::BTreeMap;
 
@@ -26,7 +26,7 @@ pub enum WakeUp {
     Sampler(&'static str),
 }
 
-/// Of each thread, in their order.
+/// Chooses who wakes each thread, in the order of the threads.
 pub(super) fn choose(file: &Declared, places: &[Place], threads: &[Thread]) -> Vec<WakeUp> {
     let mut takers: BTreeMap<&str, usize> = BTreeMap::new();
     for thread in threads {
@@ -38,7 +38,7 @@ pub(super) fn choose(file: &Declared, places: &[Place], threads: &[Thread]) -> V
     threads.iter().map(|thread| of_thread(file, places, thread, &takers)).collect()
 }
 
-/// What a thread takes and reads.
+/// Returns the topics that a thread takes and reads.
 fn topics<'f>(file: &'f Declared, thread: &Thread) -> impl Iterator<Item = &'f str> {
     let callbacks = thread.callbacks.iter().map(|i| &file.callbacks[*i]);
     callbacks
@@ -58,7 +58,7 @@ fn of_thread(file: &Declared, places: &[Place], thread: &Thread, takers: &BTreeM
     match stated.map(|direct| direct.value) {
         Some(true) => WakeUp::Publisher,
         Some(false) => WakeUp::Sampler("the file says so"),
-        // Which the sampler releases: it is there for it anyway.
+        // The sampler releases timers, so it is needed anyway.
         None if callbacks().any(|callback| callback.topics.is_empty()) => {
             WakeUp::Sampler("its thread has a timer")
         }
@@ -72,7 +72,7 @@ fn of_thread(file: &Declared, places: &[Place], thread: &Thread, takers: &BTreeM
     }
 }
 
-/// Whether a thread's wake-up is stated where it has a say.
+/// Checks that no wake-up is stated for ROS 2's executors, which publishers always wake.
 pub(super) fn check(file: &Declared, places: &[Option<Place>], problems: &Collector) {
     for (i, callback) in file.callbacks.iter().enumerate() {
         let group = callback

@@ -40,7 +40,7 @@ pub(super) fn bound(system: &System, chain: &Chain, solved: &Solved) -> Result<C
             let stages = Way { system, solved, chain: &chain.name, stages: way };
             let (period_ns, nominal) = pace(system, solved, way[0])?;
             let age = |ns: u64| period_ns.unwrap_or(u64::MAX).checked_add(ns);
-            // Alone, from the message that comes, and otherwise from the event that the first stage just misses.
+            // A chain of one part counts from the message that arrives; otherwise from the event that the first stage just misses.
             let own = nominal && (parts.len() > 1 || !system.callbacks[way[0]].is_triggered());
             passing = passing.max(stages.latency(own, Seen::Itself)?.ok_or_else(overflow)?);
             let used = if is_last {
@@ -111,7 +111,7 @@ fn overtaken(system: &System, solved: &Solved, from: &Part, to: &Part) -> Result
     Ok((older_ns, later_ns))
 }
 
-/// The parts, each with stages that trigger one another: of a part with one way these are found here.
+/// Returns the parts, each with stages that trigger one another; a part with one way is split into these here.
 fn split(system: &System, parts: &[Part]) -> Vec<Part> {
     let mut split = Vec::with_capacity(parts.len());
     for part in parts {
@@ -136,7 +136,7 @@ fn reflected(way: &Way<'_>, period_ns: Option<u64>, nominal: bool) -> Result<u64
         .ok_or_else(|| AnalysisError::Overflow { task: way.chain.to_owned() })
 }
 
-/// How often a stage runs at least, if that is bounded, and whether its responses count from nominal releases: those of a join have none.
+/// Returns the longest distance of two runs of a stage, if bounded, and whether its responses count from nominal releases; a join's do not.
 fn pace(system: &System, solved: &Solved, stage: usize) -> Result<(Option<u64>, bool), AnalysisError> {
     let response = outcome(solved, stage)?;
     let first = join::first(system, stage);
@@ -146,10 +146,10 @@ fn pace(system: &System, solved: &Solved, stage: usize) -> Result<(Option<u64>, 
     })
 }
 
-/// Which job a latency goes to.
+/// The job at whose end a latency ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Seen {
-    /// That of the release itself; through a join, of a message that is in a set.
+    /// The job of the release itself; through a join, that of a message that is in a set.
     Itself,
     /// Through a join, that of a set with the message or a later one; of a timer, that of its release or a later one.
     Reflected,
@@ -180,7 +180,7 @@ fn starved(system: &System, solved: &Solved, chain: &str, stage: usize) -> Analy
             problem: "messages of two inputs may come at the same rate, with their jitter and the time that it takes to take them, so that \
                       it is not known which is the fastest: let one of them trigger it, and read the others",
         },
-        // Never: what starves says by what.
+        // Unreachable: other joins that starve state by which input.
         _ => AnalysisError::Overflow { task },
     }
 }
@@ -202,11 +202,11 @@ impl Way<'_> {
     fn latency(&self, nominal: bool, seen: Seen) -> Result<Option<u64>, AnalysisError> {
         let Some(&last) = self.stages.last() else { return Ok(Some(0)) };
         let response = |stage: usize| outcome(self.solved, stage);
-        // Of a timer whose releases go behind others, the newest is served.
+        // Of a timer whose releases are queued behind other work, only the newest release is served.
         let first = response(self.stages[0])?;
         let skips = seen != Seen::Itself && !self.system.callbacks[self.stages[0]].is_triggered();
         let is_late = skips && first.reflected_ns > first.response_ns;
-        // What takes a message for a join leaves the rest to it.
+        // A task that takes a message for a join leaves the rest to the join.
         let joins = |at: usize| {
             let next = self.stages.get(at + 1).map(|next| link(self.system, self.stages[at], *next));
             matches!(next, Some(Some(Link::Joined(_))))
@@ -253,7 +253,7 @@ impl Way<'_> {
         reflected.ok_or_else(|| starved(self.system, self.solved, self.chain, stage))
     }
 
-    /// From the nominal release of what takes a message to that of its join, which it has in common with others by exact stamps only.
+    /// From the nominal release of a task that takes messages to that of its join, which only a join by exact stamps has.
     fn between(&self, taker: usize, join: usize) -> Option<u64> {
         let matching = self.system.callbacks[join].join.as_ref()?.matching;
         let (from, to) = (self.solved.timings[taker].least_ns, self.solved.timings[join].least_ns);
@@ -261,7 +261,7 @@ impl Way<'_> {
     }
 }
 
-/// What leads from a stage to the next.
+/// The link from a stage to the next.
 enum Link {
     Message(Transfer),
     /// The next waits for a message that the first takes, as this input of it.

@@ -10,17 +10,17 @@ use crate::{AnalysisError, Order, Release, Response, Task};
 /// Ends the search where chains that delay each other let jitter grow for ever.
 const MAX_ROUNDS: u32 = 1_000;
 
-/// No jitter of more periods, and times for which the task is blocked, is followed further: as many messages would have to be queued.
+/// Jitter beyond this many times the period and the blocking of a task is not followed: as many messages would have to be queued.
 const MAX_JITTER_PERIODS: u64 = 100;
 
 pub(super) type Outcomes = Vec<Result<Response, AnalysisError>>;
 
 pub(super) struct Solved {
-    /// Of each callback.
+    /// The bound of each callback.
     pub outcomes: Outcomes,
-    /// Of each callback that is a join with a bound.
+    /// The bound of each callback that is a join and has one.
     pub joins: Vec<Option<JoinBound>>,
-    /// How the releases of each callback lie to the first of those that trigger it.
+    /// How the releases of each callback lie to those of the first callback that leads to it.
     pub timings: Vec<Timing>,
     /// Whether each core may be throttled.
     pub throttled: Vec<bool>,
@@ -28,14 +28,14 @@ pub(super) struct Solved {
     pub spare_ns: Vec<u64>,
     /// The callbacks, with the releases that they inherit.
     pub tasks: Vec<Task>,
-    /// Of each callback to which others of its core lead: the first of these.
+    /// For each callback that others of its core lead to, the first of these.
     pub firsts: Vec<Option<Lead>>,
-    /// What is relayed on each core.
+    /// The releases and the cost of the relays on each core.
     pub relays: Vec<Vec<(Release, u64)>>,
     pub rounds: u32,
 }
 
-/// With an effort until the first is late, that, or one without a bound, ends the search with an error, whichever.
+/// Bounds all callbacks. With [`Effort::until_late`], the first that is late or has no bound ends the search with an error of any kind.
 pub(super) fn solve(system: &System, effort: &Effort) -> Result<Solved, AnalysisError> {
     let order = upstream_first(system)?;
     for callback in &system.callbacks {
@@ -82,7 +82,7 @@ pub(super) fn solve(system: &System, effort: &Effort) -> Result<Solved, Analysis
                 let analysed = level::Core::beside(&local, &first, overheads, &relays[core], *stall_ns)?;
                 let analysed = analysed.with_effort(effort);
                 for (place, &i) in members[core].iter().enumerate() {
-                    // Jitter only grows: what has no bound gets none.
+                    // Jitter only grows: a callback without a bound gets none later.
                     if rounds == 1 || outcomes[i].is_ok() {
                         outcomes[i] = Response::of(&analysed, &local[place], place);
                     }
@@ -135,23 +135,23 @@ pub(super) fn solve(system: &System, effort: &Effort) -> Result<Solved, Analysis
     }
 }
 
-/// Whether a task's jitter is not followed further, if it is blocked for so long.
+/// Whether a task's jitter is too long to be followed further, if it is blocked for `blocking_ns`.
 pub(super) fn is_endless(task: &Task, blocking_ns: u64) -> bool {
     task.jitter_ns / MAX_JITTER_PERIODS > task.period_ns.saturating_add(blocking_ns)
 }
 
-/// The first of the callbacks that lead to one of their core, each in every level that the next is in.
+/// The first of the callbacks that lead to a callback of their core, where each is in every level that the next is in.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Lead {
     first: usize,
-    /// How much later its own nominal release is; `None` after a join.
+    /// How much later the callback's own nominal release is; `None` after a join.
     lag_ns: Option<u64>,
     /// How many messages the joins on the way may keep.
     kept: u64,
 }
 
 impl Lead {
-    /// With the releases that are known.
+    /// Returns the first task, with the releases that are known.
     pub fn first(self, tasks: &[Task]) -> First {
         let task = &tasks[self.first];
         let mut release = task.release();
@@ -163,7 +163,7 @@ impl Lead {
     }
 }
 
-/// What leads to each callback.
+/// Returns the lead of each callback, if it has one.
 fn firsts(system: &System, tasks: &[Task], order: &[usize]) -> Vec<Option<Lead>> {
     let mut leads: Vec<Option<Lead>> = vec![None; tasks.len()];
     for &i in order {
@@ -197,7 +197,7 @@ fn firsts(system: &System, tasks: &[Task], order: &[usize]) -> Vec<Option<Lead>>
     leads
 }
 
-/// Gives triggered callbacks the jitter of their triggers; returns those whose jitter grew, and how all lie to each other.
+/// Gives triggered callbacks the jitter of their triggers; returns those whose jitter grew, all timings, and the bounds of joins.
 fn pass_on(
     system: &System,
     order: &[usize],
@@ -208,7 +208,7 @@ fn pass_on(
     let mut grown = Vec::new();
     let mut timings = vec![Timing::default(); tasks.len()];
     let mut joins = vec![None; tasks.len()];
-    // Whose messages may come as late as they like.
+    // Callbacks whose messages may come arbitrarily late.
     let mut held = vec![false; tasks.len()];
     for &i in order {
         let callback = &system.callbacks[i];
@@ -241,7 +241,7 @@ fn pass_on(
     (grown, timings, joins)
 }
 
-/// How late a callback may publish, after the nominal release, as far as rates go.
+/// Returns how late a callback may publish, after the nominal release, as far as rates go.
 fn late_ns(
     system: &System,
     firsts: &[Option<Lead>],
@@ -251,14 +251,14 @@ fn late_ns(
     response: &Response,
 ) -> u64 {
     let task = &tasks[source];
-    // What its own jitter has grown by since it was analysed is no less later.
+    // It is later by as much as its own jitter has grown since it was analysed.
     let more_ns = task.jitter_ns.saturating_sub(response.jitter_ns);
     let latest_ns = firsts[source].map_or(u64::MAX, |lead| lead.first(tasks).latest_ns(response.busy_ns));
     let late_ns = response.response_ns.saturating_add(more_ns).min(latest_ns).saturating_sub(task.bcet_ns);
     if !task.is_held() {
         return late_ns;
     }
-    // Of all streams of its queue.
+    // All streams of its queue count.
     let shares = |i: usize| {
         i == source
             || (task.group.is_some()
@@ -272,7 +272,7 @@ fn late_ns(
     late_ns.max(task.jitter_ns.saturating_add(task.release().nominal_span(depth.saturating_add(1))))
 }
 
-/// When messages are relayed on each core, and what that costs.
+/// Returns the releases and the cost of the relays on each core.
 fn relayed(
     system: &System,
     firsts: &[Option<Lead>],
@@ -295,7 +295,7 @@ fn relayed(
     relays
 }
 
-/// What may run on any core has the worst of the bounds that it has on each.
+/// Gives a callback that may run on any core the worst of its bounds on each.
 fn copies(system: &System, outcomes: &mut Outcomes) {
     for i in 0..outcomes.len() {
         let Some(own) = system.callbacks[i].copy_of else { continue };
@@ -317,9 +317,9 @@ fn diverges(task: &Task, outcome: &Result<Response, AnalysisError>, rounds: u32)
     }
 }
 
-/// Takes their bounds from all callbacks that something without a bound triggers or delays.
+/// Removes the bounds of all callbacks that a callback without a bound triggers or delays.
 fn without_bound(system: &System, order: &[usize], outcomes: &mut Outcomes) {
-    // Up to which priority what runs on each core has none.
+    // Of each core, the priority up to which callbacks have no bound, and the cause.
     let mut lost: Vec<Option<(u8, usize)>> = vec![None; system.cores.len()];
     loop {
         let mut changed = false;
@@ -338,10 +338,10 @@ fn without_bound(system: &System, order: &[usize], outcomes: &mut Outcomes) {
                 (_, Err(AnalysisError::Diverges { .. })) => i,
                 _ => continue,
             };
-            // Its releases are not known, so neither is what it takes from its level and those below.
+            // Its releases are not known, so neither is the time that it takes from its level and those below.
             let (core, task) = (callback.core, &callback.task);
             let overheads = &system.cores[core].overheads;
-            // All of them, if its messages or its time may stop all.
+            // All levels of the core, if its messages or its time may stop all.
             let stops_all = task.per_message_ns(overheads) > 0 || overheads.throttling.is_some();
             let priority = if stops_all { u8::MAX } else { task.priority };
             if lost[core].is_none_or(|(lost, _)| lost < priority) {
@@ -366,7 +366,7 @@ fn without_bound(system: &System, order: &[usize], outcomes: &mut Outcomes) {
     }
 }
 
-/// All callbacks, triggers before what they trigger.
+/// Returns all callbacks, each after those that trigger it.
 fn upstream_first(system: &System) -> Result<Vec<usize>, AnalysisError> {
     let count = system.callbacks.len();
     for callback in &system.callbacks {
@@ -386,7 +386,7 @@ fn upstream_first(system: &System) -> Result<Vec<usize>, AnalysisError> {
             continue;
         }
         on_path[start] = true;
-        // The way down to here, each with how many of its predecessors were looked at.
+        // The path to this callback, each with the number of its predecessors that were visited.
         let mut path = vec![(start, 0)];
         while let Some((i, looked_at)) = path.last_mut().filter(|(i, _)| !placed[*i]) {
             let i = *i;

@@ -5,13 +5,13 @@
 //! period T_k, nominal releases r_k(n), and each message arrives within [`least_k`, `most_k`] after its own, where most - least is
 //! the jitter J_k. What a message waits for is its *activation*, the arrival of the last message that is needed; the join's
 //! response time counts from there. R_k is the longest response of the join's thread to a message. Messages come at their period, none
-//! is lost, and everyone has begun to send.
+//! is lost, and every publisher has begun to send.
 //!
 //! **Several streams in one** (`union`). In a window w come at most sum ceil((w + J_k) / T_k) <= w / T + C messages, where
 //! 1 / T = sum 1 / T_k and C = sum (J_k + T_k - 1) / T_k. That is no more than ceil((w + J) / T) with J = T (C - 1) + 1, rounded up: a
 //! stream with period T and jitter J. With one stream these are its own. Its longest gap is that of the stream with the shortest gap.
 //!
-//! **Newest of each** ([`Matching::Newest`]). It runs once everyone has sent something new. Each activation but the first is
+//! **Newest of each** ([`Matching::Newest`]). It runs once every input has something new. Each activation but the first is
 //! preceded by a message of every input since the one before, so m of them span at least m - 1 messages of the slowest: a
 //! stream with its T and jitter J + T. A message waits at most for the longest gap of another input, min (T_k + J_k), and one that is in
 //! a set no longer than the gap of its own: with the last message of a set, what has come until then is taken.
@@ -64,7 +64,7 @@
 //! A message may be in sets until the next of its input is taken, for T_k + J_k + R_k. Each input is one stream. The rate of the fastest,
 //! f, is estimated as 1 / (T_f + J_f + R_f) at least, as an average of what is no less, and that of another one as 1 / A_i at most,
 //! A_i = max(T_i - J_i, least distance) - R_i. If that is always less, f is the pivot whenever it has sent something, so that each of its
-//! messages is an activation; if not, nothing is known of who is the pivot.
+//! messages is an activation; if not, the pivot is not known.
 use super::System;
 use crate::{AnalysisError, Release, Task};
 
@@ -86,7 +86,7 @@ pub struct Join {
 pub enum Matching {
     /// The newest message of each input, as soon as each input has a new one.
     Newest,
-    /// The same of those that were taken, by runs of which each takes one message: those of an executor of ROS 2.
+    /// The newest of the messages that were taken, where each run takes one message: the way of ROS 2's executors.
     NewestTaken,
     /// Messages with equal stamps: they all descend from one source, or from several sources that are
     /// released together.
@@ -120,36 +120,36 @@ pub struct JoinBound {
     /// For each of [`Join::inputs`]: from the arrival of a message that is in a set to that of the last one of the set.
     pub wait_ns: Vec<u64>,
     /// For each of [`Join::inputs`]: as [`wait_ns`](Self::wait_ns), to that of a set with this message or a later one of its input,
-    /// whoever published that. `None`: sets may never come together, or for a long time not at the pace of the fastest.
+    /// whoever published it. `None`: sets may never come together, or for a long time not at the pace of the fastest.
     pub reflected_ns: Option<Vec<u64>>,
     /// The most messages of one input that wait (with exact stamps: the most different stamps), not counting one that just
     /// arrives.
     pub queue_size: u64,
-    /// Which inputs make that [`reflected_ns`](Self::reflected_ns) is `None`, each with a distance in nanoseconds: whose messages may be
-    /// this far apart, more than the window, all but the slowest of these; at the pace of the fastest, those whose messages may be
-    /// this close, no more than the fastest's are apart. None where the policy alone is the reason.
+    /// The inputs because of which [`reflected_ns`](Self::reflected_ns) is `None`, each with a distance in nanoseconds. With a window:
+    /// those whose messages may be this far apart, more than the window, except the slowest. At the pace of the fastest: those whose
+    /// messages may be this close, no more than the fastest's are apart. Empty where the policy alone is the reason.
     pub starved_by: Vec<(usize, u64)>,
 }
 
-/// How the releases of a callback lie to those of what triggers it first.
+/// How the releases of a callback lie to those of the first callback that leads to it.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Timing {
-    /// The least time from the nominal release of the first to one of this.
+    /// The least time from the nominal release of the first callback to one of this callback.
     pub least_ns: u64,
     /// The longest time between two releases.
     pub gap_ns: u64,
-    /// How late after its nominal release the first takes a stamp.
+    /// How late after its nominal release the first callback takes a stamp.
     pub stamp_ns: u64,
 }
 
 impl Timing {
-    /// Of a callback with releases of its own. A message from outside was stamped before it came.
+    /// The timing of a callback with releases of its own. A message from outside was stamped before it came.
     pub fn of_own(task: &Task) -> Self {
         let gap_ns = task.period_ns.saturating_add(task.jitter_ns);
         Timing { least_ns: 0, gap_ns, stamp_ns: task.jitter_ns }
     }
 
-    /// Of a callback that `source` triggers. The first of all may take the stamp until it ends, after `stamped_ns`.
+    /// The timing of a callback that `source` triggers. The first callback may take the stamp until it ends, after `stamped_ns`.
     pub fn passed_on(
         self,
         source: &Task,
@@ -164,12 +164,12 @@ impl Timing {
     }
 }
 
-/// What reaches an input of a join, of one publisher and one trigger.
+/// The messages that reach an input of a join from one publisher and one trigger.
 struct Stream<'a> {
     task: &'a Task,
     timing: Timing,
     most_ns: u64,
-    /// From its arrival to the end of what its thread does with it.
+    /// From the arrival of a message until its thread has processed it.
     response_ns: u64,
 }
 
@@ -179,12 +179,12 @@ impl Stream<'_> {
         self.task.period_ns.saturating_add(self.timing.stamp_ns)
     }
 
-    /// From an instant to the arrival of what is stamped next.
-    fn heard_ns(&self) -> u64 {
+    /// From an instant to the arrival of the message that is stamped next.
+    fn next_arrival_ns(&self) -> u64 {
         self.stamp_gap_ns().saturating_add(self.most_ns)
     }
 
-    /// From the stamp to the end of what is done with it.
+    /// From the stamp of a message until it is processed.
     fn processed_ns(&self) -> u64 {
         self.most_ns.saturating_add(self.response_ns)
     }
@@ -224,7 +224,7 @@ impl<'a> Input<'a> {
     }
 }
 
-/// The period of several streams together, no longer than it is.
+/// The period of several streams together, rounded down.
 fn union_period(periods: impl Iterator<Item = u64> + Clone) -> u64 {
     let mut several = periods.clone();
     if let (Some(only), None) = (several.next(), several.next()) {
@@ -244,7 +244,7 @@ fn union_period(periods: impl Iterator<Item = u64> + Clone) -> u64 {
     u64::try_from(whole / rate.max(1)).unwrap_or(u64::MAX).max(1)
 }
 
-/// Several streams in one, with what `jitter` says of each, and `more` messages at any time.
+/// Returns several streams as one, with the `jitter` of each, and `more` messages at any time.
 fn union<'a, 'b: 'a>(
     streams: impl Iterator<Item = &'a Stream<'b>> + Clone,
     jitter: impl Fn(&Stream<'b>) -> u64,
@@ -263,7 +263,7 @@ fn union<'a, 'b: 'a>(
     Release::periodic(period_ns).jitter(u64::try_from(jitter).unwrap_or(u64::MAX))
 }
 
-/// How a join is released, what waits there, and how it lies to the nominal releases of its inputs.
+/// Returns a join's releases, how it lies to the nominal releases of its inputs, and its bounds.
 pub(super) fn solve(
     join: &Join,
     tasks: &[Task],
@@ -286,7 +286,7 @@ pub(super) fn solve(
         Matching::NewestTaken => newest(&inputs, |stream| stream.response_ns),
         Matching::Exact => exact(&inputs),
         Matching::Approximate { window_ns } => {
-            close(&inputs, window_ns, most(&inputs, |input| input.least(Stream::heard_ns)), true)
+            close(&inputs, window_ns, most(&inputs, |input| input.least(Stream::next_arrival_ns)), true)
         }
         Matching::ApproximateEpsilon { window_ns } => {
             let most_ns = most(&inputs, |input| input.most(|stream| stream.most_ns));
@@ -295,7 +295,7 @@ pub(super) fn solve(
         Matching::LatestTime => latest(&inputs),
     };
     if held && join.matching != Matching::LatestTime {
-        // However late: each set needs a message of the slowest, and of these no more come at once than had come and waited.
+        // However late messages are: each set needs one of the slowest input, of which no more come at once than had come and waited.
         let at_once = slowest(&inputs, |stream| stream.task.jitter_ns, bound.queue_size.saturating_add(1));
         release.jitter_ns = release.jitter_ns.max(at_once.jitter_ns);
     }
@@ -309,7 +309,7 @@ impl Join {
     }
 }
 
-/// As a bound, with the times of each input's streams.
+/// As [`JoinBound`], with the times by input and stream.
 struct Found {
     wait_ns: Vec<Vec<u64>>,
     reflected_ns: Option<Vec<Vec<u64>>>,
@@ -318,7 +318,7 @@ struct Found {
 }
 
 impl Found {
-    /// With the times in the order in which the streams were given.
+    /// Returns the bound, with the times in the order in which the streams were given.
     fn ordered(self, ports: &[usize]) -> JoinBound {
         let ordered = |times: Vec<Vec<u64>>| {
             let mut times: Vec<_> = times.into_iter().map(Vec::into_iter).collect();
@@ -337,14 +337,14 @@ fn most<'a>(inputs: &[Input<'a>], of: impl Fn(&Input<'a>) -> u64) -> u64 {
     inputs.iter().map(of).max().unwrap_or(0)
 }
 
-/// Of each input, and each of its streams.
+/// Returns `of` for each stream of each input.
 fn each(inputs: &[Input<'_>], of: impl Fn(usize, &Stream<'_>) -> u64) -> Vec<Vec<u64>> {
     let streams =
         |(i, input): (usize, &Input<'_>)| input.streams.iter().map(|stream| of(i, stream)).collect();
     inputs.iter().enumerate().map(streams).collect()
 }
 
-/// The slowest input, with what `jitter` says of its streams; of those that are as slow the steadiest.
+/// Returns the releases of the slowest input, with the `jitter` of its streams; of equally slow inputs, those with the least jitter.
 fn slowest<'a>(inputs: &[Input<'a>], jitter: impl Fn(&Stream<'a>) -> u64, more: u64) -> Release {
     let releases = inputs.iter().map(|input| union(input.streams.iter(), &jitter, more));
     let slowest = releases.max_by_key(|release| (release.period_ns, std::cmp::Reverse(release.jitter_ns)));
@@ -401,7 +401,7 @@ fn exact(inputs: &[Input<'_>]) -> (Release, Timing, Found) {
 /// `completed` is the longest time from the pivot of a set, no later than a window after its first stamp, to its activation. `meets`: sets do
 /// not starve if the window is long enough.
 fn close(inputs: &[Input<'_>], window_ns: u64, completed: u64, meets: bool) -> (Release, Timing, Found) {
-    // Of the activation itself, which is an arrival, and of the end of what the thread does with it.
+    // Times to the activation itself, which is an arrival, and to the end of its processing in the thread.
     let activated = window_ns.saturating_add(completed);
     let known = most(inputs, Input::known_ns);
     // An arrival is at least `least` after its nominal release, a stamp at most S.
@@ -462,7 +462,7 @@ fn latest(inputs: &[Input<'_>]) -> (Release, Timing, Found) {
     (release, Timing { gap_ns, ..Timing::default() }, bound)
 }
 
-/// Refuses what has no meaning.
+/// Refuses joins that have no meaning.
 pub(super) fn validate(system: &System, join: &Join, name: &str) -> Result<(), AnalysisError> {
     let problem = |problem| Err(AnalysisError::BadJoin { task: name.to_owned(), problem });
     let takers = |port| join.ports.iter().filter(|of| **of == port).count();
@@ -497,8 +497,8 @@ pub(super) fn validate(system: &System, join: &Join, name: &str) -> Result<(), A
     Ok(())
 }
 
-/// Who is released first of those that trigger one another down to this callback: one with releases of its own, or a join
-/// whose messages are of several stamps.
+/// Returns the first of the callbacks that trigger one another down to this one: one with releases of its own, or a join whose messages are
+/// of several stamps.
 pub(super) fn first(system: &System, mut index: usize) -> usize {
     loop {
         let callback = &system.callbacks[index];
@@ -520,7 +520,7 @@ pub(super) fn periods(system: &System) -> Vec<u64> {
     inherited(system, 0..system.callbacks.len()).into_iter().map(|period| period.unwrap_or(0)).collect()
 }
 
-/// The periods of these callbacks and of all on the way to them, each of which is looked at once.
+/// The periods of these callbacks and of all on the way to them, each of which is visited once.
 fn inherited(system: &System, wanted: impl IntoIterator<Item = usize>) -> Vec<Option<u64>> {
     let mut known: Vec<Option<u64>> = vec![None; system.callbacks.len()];
     for index in wanted {

@@ -4,11 +4,11 @@
 //! Each core is analysed for itself. A callback that a message triggers inherits the releases of the message's
 //! publisher, with jitter J + R - bcet + (longest - shortest transfer), which may lengthen response times on its core,
 //! and so on: all is repeated until nothing changes any more (compositional analysis, Richter 2005). Jitter starts at
-//! its least and only grows, so what is reached is the least fixed point. Within a core jitter bunches nothing: what leads to a callback at its
-//! priority or above is done before that level idles, so that in a busy window the callback is released as often as the first of what leads to
-//! it, and has ended when the window does (without stalls, of which another may begin as soon as a publisher has caught up). A publisher that is held to its budget, or has a reservation, may
-//! publish as late as it likes: of n messages that its queue keeps, n + 1 may then come at once, as if they had that many periods of jitter. Callbacks that wait for messages of several
-//! others: [`Join`].
+//! its least and only grows, so what is reached is the least fixed point. Within a core jitter bunches nothing: what leads to a callback at
+//! its priority or above is done before that level idles, so in a busy window the callback is released as often as the first callback that
+//! leads to it, and has ended when the window does (without stalls, of which another may begin as soon as a publisher has caught up). A
+//! publisher that is held to its budget, or has a reservation, may publish arbitrarily late: of n messages that its queue keeps, n + 1 may
+//! then come at once, as if they had that many periods of jitter. Callbacks that wait for messages of several others: [`Join`].
 use crate::level::Effort;
 use crate::{AnalysisError, Overheads, Release, Response, Task};
 
@@ -43,7 +43,7 @@ pub struct System {
     pub cores: Vec<Core>,
     /// What runs on them.
     pub callbacks: Vec<Callback>,
-    /// What their messages cost besides.
+    /// The additional work of relays for their messages.
     pub relays: Vec<Relay>,
     /// Paths through the callbacks whose end-to-end time matters.
     pub chains: Vec<Chain>,
@@ -54,7 +54,7 @@ pub struct System {
 pub struct Core {
     /// The overheads of the machine and the middleware there.
     pub overheads: Overheads,
-    /// For how long it may stand still, if that is counted: the blocking of its tasks contains it, and what piled up then is done at once.
+    /// How long it may stall, if that is counted: the blocking of its tasks contains the stall; work that piled up then is done at once.
     pub stall_ns: u64,
 }
 
@@ -84,7 +84,7 @@ pub struct Callback {
     /// Its join, if it needs messages of several others; inherited values then replace its period, trace and
     /// jitter.
     pub join: Option<Join>,
-    /// The callback that it is, too, on another core: one that may run on any has the worst of its bounds.
+    /// The callback of which this is a copy on another core: a callback that may run on any core has the worst of the bounds.
     pub copy_of: Option<usize>,
 }
 
@@ -115,7 +115,7 @@ pub struct Part {
     pub ways: Vec<Vec<usize>>,
     /// The transfer of the value that the first stage reads.
     pub transfer: Transfer,
-    /// Who else writes that value, so that nothing of this chain may be left of it; `None` if nobody does.
+    /// The other callback that writes the value, and may overwrite what this chain passes on; `None` if there is none.
     pub overwritten_by: Option<String>,
 }
 
@@ -165,7 +165,7 @@ impl Callback {
         self.trigger.is_some() || self.join.is_some()
     }
 
-    /// The response that its deadline is for.
+    /// Returns the response that its deadline applies to.
     fn counted_ns(&self, response: &Response) -> u64 {
         if self.is_triggered() { response.from_arrival_ns } else { response.response_ns }
     }
@@ -174,7 +174,7 @@ impl Callback {
         self.counted_ns(response) <= response.deadline_ns
     }
 
-    /// Whose messages release it.
+    /// The callbacks whose messages release it.
     fn predecessors(&self) -> &[usize] {
         match (&self.trigger, &self.join) {
             (Some((source, _)), _) => std::slice::from_ref(source),

@@ -3,8 +3,8 @@
 //!
 //! Each task k is blocked for X_k more, as long as all deadlines are still met. Its longest busy window is then W_k. If the jobs of another task
 //! that are released within W_k take no more than X_k longer together, k ends no later than with X_k, whatever they delay on their way: each
-//! window up to W_k has less work. So k's response is no longer, nor is the jitter of what it triggers. That the jobs of any one callback may take
-//! longer is so found from the windows of a single analysis.
+//! window up to W_k has less work. So k's response is no longer, nor is the jitter of what it triggers. The windows of a single analysis
+//! thus show how much longer the jobs of any one callback may take.
 use std::collections::HashMap;
 use std::ops::Range;
 
@@ -19,13 +19,13 @@ pub(crate) const UNIT: u64 = 1_000;
 /// No factor above this many thousandths is looked for.
 pub(crate) const LIMIT: u64 = 1_000 * UNIT;
 
-/// So many steps take no time worth saving.
+/// This many steps take no time worth saving.
 pub(crate) const FEW: u64 = 20_000;
 
-/// A part of the room that a task has is this exact: 1 of 256.
+/// The room of a task is found to 1 part in 256, by this many halvings.
 const HALVINGS: u32 = 8;
 
-/// What all tasks may be blocked for more, and what the analysis finds then.
+/// The additional blocking that all tasks can have, and the solution with it.
 pub(crate) struct Slack {
     blocking_ns: Vec<u64>,
     solved: Solved,
@@ -35,7 +35,7 @@ impl System {
     /// How many steps its analysis takes.
     pub(crate) fn steps(&self) -> u64 {
         let effort = Effort::unlimited();
-        // What has no meaning is found out at once.
+        // A system without a meaning is refused at once.
         let _ = fixpoint::solve(self, &effort);
         effort.steps()
     }
@@ -45,21 +45,21 @@ impl System {
         self.met(effort).is_some()
     }
 
-    /// What is found if they do.
+    /// Returns the solution, if every callback and every chain meets its deadline.
     fn met(&self, effort: &Effort) -> Option<Solved> {
         let solved = fixpoint::solve(self, effort).ok()?;
         let meets = |chain| chains::bound(self, chain, &solved).is_ok_and(|bound| bound.met);
         (solved.outcomes.iter().all(Result::is_ok) && self.chains.iter().all(meets)).then_some(solved)
     }
 
-    /// `None` if a deadline is missed.
+    /// Returns the slack; `None` if a deadline is missed.
     pub(crate) fn slack(&self) -> Option<Slack> {
         let effort = Effort::until_late(u64::MAX);
         let solved = self.met(&effort)?;
         // Near the limit, to find out may take much longer than to find that there is none.
         let most = effort.steps().saturating_mul(2).saturating_add(FEW);
         let threads = self.threads();
-        // Of each thread, at the first of its tasks: what fits, and what is too much.
+        // Of each thread, at the first of its tasks: the blocking that fits, and the blocking that is too much.
         let mut bounds = vec![(0, u64::MAX); threads.len()];
         for ((callback, outcome), thread) in self.callbacks.iter().zip(&solved.outcomes).zip(&threads) {
             let room_ns =
@@ -78,7 +78,7 @@ impl System {
                 if fits { bound.0 = middle } else { bound.1 = middle }
             }
         }
-        // It makes responses and so jitter longer.
+        // The blocking makes responses, and so jitter, longer.
         for halved in 0..HALVINGS {
             let blocking_ns: Vec<u64> = threads.iter().map(|thread| bounds[*thread].0 >> halved).collect();
             let callbacks = self.callbacks.iter().zip(&blocking_ns);
@@ -106,7 +106,7 @@ impl System {
         self.callbacks.iter().enumerate().map(thread).collect()
     }
 
-    /// Whether each task meets its deadline if it is blocked for so much more, with the releases found before.
+    /// Whether each task meets its deadline if it is blocked for `blocking_ns` more, with the releases found before.
     fn fit(&self, solved: &Solved, blocking_ns: &[u64]) -> impl Iterator<Item = bool> {
         let mut fits = vec![false; self.callbacks.len()];
         for (number, core) in self.cores.iter().enumerate() {
@@ -130,7 +130,7 @@ impl System {
     }
 }
 
-/// What waits for its reservation has all of it as its own work: its runtime may not be enough for more.
+/// Blocks a task for `ns` more. If it has a reservation, that is also work of its own: its runtime may not be enough for more.
 fn blocked(task: &Task, ns: u64) -> Task {
     let mut task = task.clone();
     task.blocking_ns = task.blocking_ns.saturating_add(ns);
@@ -172,7 +172,7 @@ impl Slack {
         of_tasks.chain(of_throttling).min().unwrap_or(0)
     }
 
-    /// The factor at which so many jobs of those tasks that are on a core take no more than `room_ns` longer, each rounded up.
+    /// Returns the factor at which the `jobs` of those `grown` tasks that are on a core take at most `room_ns` longer, each rounded up.
     fn largest(
         &self,
         system: &System,
@@ -212,12 +212,12 @@ impl Slack {
         match (is_section, own.reservation) {
             (false, _) => 0,
             (true, None) => 1,
-            // One may begin whenever it waits.
+            // A section may begin whenever the task waits.
             (true, Some(_)) => u64::MAX,
         }
     }
 
-    /// When a task takes time from others.
+    /// Returns the releases by which a task takes time from others.
     fn delaying(&self, j: usize) -> Release {
         let task = &self.solved.tasks[j];
         match task.hold {

@@ -15,7 +15,7 @@ use std::sync::Arc;
 
 /// The last version of the schema that is known: ROS 2 Jazzy's.
 const SCHEMA: i64 = 4;
-/// What a row takes besides its message, at least.
+/// The least number of bytes that a row takes besides its message.
 const OF_ROW: u64 = 4;
 
 /// A database that is open.
@@ -38,14 +38,14 @@ impl Database {
             std::fs::metadata(name).map_or(0, |file| file.len())
         };
         bytes += beside("-wal");
-        // What nobody writes to needs no locks, and no files beside it.
+        // A file without a journal is not being written: it needs no locks, and no files beside it.
         let is_alone = beside("-wal") == 0 && beside("-journal") == 0;
         let uri = uri(path, if is_alone { "?immutable=1" } else { "" });
         let flags =
             OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_URI | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let fail = |error| failed(path, error);
         let connection = Connection::open_with_flags(uri, flags).map_err(fail)?;
-        // What the database has for code is not run, and what it is made of is looked at before it is used.
+        // Code in the database is not run, and its pages are checked before they are used.
         connection.set_db_config(DbConfig::SQLITE_DBCONFIG_TRUSTED_SCHEMA, false).map_err(fail)?;
         connection.set_db_config(DbConfig::SQLITE_DBCONFIG_DEFENSIVE, true).map_err(fail)?;
         connection.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_VIEW, false).map_err(fail)?;
@@ -93,7 +93,7 @@ impl Database {
                 let row: i64 = row.get(3).unwrap_or(-1);
                 self.no_bag(format!("message {row}: {reason}"))
             })?;
-            // No two messages are in one place, unless somebody made it so.
+            // In a valid file no two messages share bytes, so they have no more bytes than the file.
             read += cdr.len() as u64 + OF_ROW;
             if read > self.bytes {
                 return Err(self.no_bag("its messages have more bytes than it has".to_owned()).into());
@@ -113,7 +113,7 @@ impl Database {
         Ok(())
     }
 
-    /// Which tables there are, with which columns; what is in all but the messages'.
+    /// Reads which tables and columns there are, and the content of all tables except that of the messages.
     fn read_schema(&mut self) -> Result<(), BagError> {
         let fail = |error| failed(&self.path, error);
         let mut statement = self.connection.prepare("PRAGMA main.table_list").map_err(fail)?;
@@ -154,7 +154,7 @@ impl Database {
         Ok(())
     }
 
-    /// The columns of a table, which are in the file, each of them.
+    /// The columns of a table that are stored in the file. Fails if one of `needed` is missing.
     fn columns(&self, table: &str, needed: &[&str]) -> Result<Vec<String>, BagError> {
         let fail = |error| failed(&self.path, error);
         let mut statement =
@@ -244,7 +244,7 @@ impl Database {
     }
 }
 
-/// The length of a file that has all its pages, by its header.
+/// The length of a file. Fails if it is shorter than its header states.
 fn whole(path: &Path) -> Result<u64, BagError> {
     let file = File::open(path).map_err(BagError::read(path))?;
     let bytes = file.metadata().map_err(BagError::read(path))?.len();
@@ -270,7 +270,7 @@ fn whole(path: &Path) -> Result<u64, BagError> {
     Ok(bytes)
 }
 
-/// As SQLite takes any name.
+/// The path as a URI of SQLite, with any character escaped that has a meaning there.
 fn uri(path: &Path, options: &str) -> String {
     let mut uri = String::from(if path.is_absolute() { "file://" } else { "file:" });
     for byte in path.as_os_str().as_bytes() {

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
-/// As Jazzy's sqlite_storage.cpp makes it.
+/// The tables, as Jazzy's sqlite_storage.cpp creates them.
 const SCHEMA: &str = "
 CREATE TABLE schema(schema_version INTEGER PRIMARY KEY,ros_distro TEXT NOT NULL);
 CREATE TABLE metadata(id INTEGER PRIMARY KEY,metadata_version INTEGER NOT NULL,metadata TEXT NOT NULL);
@@ -22,14 +22,14 @@ CREATE TABLE message_definitions(id INTEGER PRIMARY KEY,topic_type TEXT NOT NULL
 CREATE TABLE messages(id INTEGER PRIMARY KEY,topic_id INTEGER NOT NULL,timestamp INTEGER NOT NULL, data BLOB NOT NULL);
 CREATE INDEX timestamp_idx ON messages (timestamp ASC);
 INSERT INTO schema(schema_version, ros_distro) VALUES (4, 'jazzy');";
-/// Nobody else sees the file before it is done: what a crash leaves of it is removed.
+/// No journal and no syncs: nobody else uses the file before it is complete, and what a crash leaves of it is removed.
 const PRAGMAS: &str =
     "PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; PRAGMA locking_mode = EXCLUSIVE; BEGIN;";
-/// How many bytes are written at once.
+/// The number of bytes of one transaction.
 const STEP: u64 = 4 << 20;
 /// SQLite's own limit of a value, without what a row has besides.
 const MOST_BLOB: usize = 999_999_000;
-/// What a row takes besides its message, with its entry in the index; about.
+/// The number of bytes that a row takes besides its message, with its entry in the index; estimated.
 const OF_ROW: u64 = 40;
 
 /// A bag that is being written. It is not valid until it is [finished](Self::finish).
@@ -47,7 +47,7 @@ pub struct SqliteWriter {
 struct Open {
     connection: Connection,
     summary: FileSummary,
-    /// Messages of each topic that is in it.
+    /// The number of messages of each topic of the file.
     counts: BTreeMap<TopicId, u64>,
     definitions: BTreeMap<String, Definition>,
     bytes: u64,
@@ -92,7 +92,7 @@ impl SqliteWriter {
         topic.qos = joined(&topic.qos, qos);
     }
 
-    /// The topic is in the file.
+    /// Adds the topic to the current file, unless it is there.
     fn declare(&mut self, id: TopicId) -> Result<(), BagError> {
         if self.file.is_none() {
             self.open()?;
@@ -175,7 +175,7 @@ impl SqliteWriter {
             file.pending = 0;
         }
         *file.counts.entry(id).or_default() += 1;
-        file.summary.see(stamp.log_ns);
+        file.summary.count_message(stamp.log_ns);
         Ok(())
     }
 
@@ -193,7 +193,7 @@ impl SqliteWriter {
 
     fn open(&mut self) -> Result<(), BagError> {
         let path = self.folder.join(format!("{}_{}.db3", self.name, self.done.len()));
-        // Nothing is opened that was there.
+        // Refuses a file that exists.
         File::options().write(true).create_new(true).open(&path).map_err(BagError::write(&path))?;
         let connection = Connection::open(&path).map_err(|error| failed(&path, error))?;
         connection

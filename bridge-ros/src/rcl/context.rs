@@ -70,7 +70,7 @@ impl Context {
         self.domain
     }
 
-    /// Learns the context's GID prefix from one of its publishers.
+    /// Stores the context's GID prefix, which is that of one of its publishers.
     pub(super) fn learn_own(&self, publisher: &Gid) {
         let _ = self.own.set(prefix(publisher));
     }
@@ -183,7 +183,7 @@ impl Node {
         self.raw
     }
 
-    /// Hold this while an entity of the node is created or destroyed.
+    /// The lock to hold while an entity of the node is created or destroyed.
     pub(crate) fn making(&self) -> MutexGuard<'_, ()> {
         self.making.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -200,7 +200,7 @@ impl Drop for Node {
     }
 }
 
-/// As a C string.
+/// Converts a text to a C string.
 pub(crate) fn text(text: &str) -> Result<CString, RclError> {
     let what = "reading a name";
     CString::new(text).map_err(|_| RclError { what, code: 0, reason: format!("{text:?} contains a NUL") })

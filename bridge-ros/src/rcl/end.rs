@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What publishers, subscriptions, servers and clients have in common.
+//! The common part of publishers, subscriptions, servers and clients.
 
 use super::context::Node;
 use super::error::{RclError, check};
@@ -41,7 +41,7 @@ impl<T> RclEntity<T> {
         Ok(RclEntity { raw, fini, node: node.clone() })
     }
 
-    /// Initialised until it is dropped.
+    /// rcl's object, initialised until this is dropped.
     pub(super) fn raw(&self) -> *mut T {
         self.raw
     }

@@ -21,7 +21,7 @@ pub(crate) fn check(what: &'static str, code: rcl_ret_t) -> Result<(), RclError>
     if code == RCL_RET_OK as rcl_ret_t { Ok(()) } else { Err(last_error(what, code)) }
 }
 
-/// Whether something was taken: the code `nothing` means that there was nothing.
+/// Whether something was taken: the code `nothing` means that the queue was empty.
 pub(crate) fn taken(what: &'static str, code: rcl_ret_t, nothing: u32) -> Result<bool, RclError> {
     if code == nothing as rcl_ret_t {
         // SAFETY: resets rcl's message of this thread only.

@@ -120,7 +120,7 @@ impl Node {
         self.ends_of(&format!("rq{service}Request"), EndpointKind::Subscription, true)
     }
 
-    /// `is_raw`: the name is the RMW's own.
+    /// The endpoints of a topic. `is_raw`: the name is the RMW's own.
     fn ends_of(&self, topic: &str, kind: EndpointKind, is_raw: bool) -> Result<Vec<RosEndpoint>, RclError> {
         let name = text(topic)?;
         // SAFETY: the node is initialised; the list starts zero and ends here, after its strings are copied.

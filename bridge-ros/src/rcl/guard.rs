@@ -61,7 +61,7 @@ pub struct GraphGuard {
 }
 
 impl GraphGuard {
-    /// Of the graph that `node` sees.
+    /// The guard of the graph that `node` sees.
     pub fn of(node: &Arc<Node>) -> Self {
         GraphGuard { node: node.clone() }
     }

@@ -6,18 +6,18 @@ use super::error::RclError;
 use libloading::Library;
 use std::ffi::{c_char, c_void};
 
-/// The library that leads to Fast DDS, whatever the version, and of both of its RMWs.
+/// The library that links Fast DDS, in every version, and for both of its RMWs.
 const LIBRARY: &str = "librmw_fastrtps_shared_cpp.so";
 /// `DomainParticipantFactory::get_instance()` and `load_XML_profiles_string(const char *, size_t)`, of Fast DDS 2 and 3.
 const GET_INSTANCE: &[u8] = b"_ZN8eprosima7fastdds3dds24DomainParticipantFactory12get_instanceEv\0";
 const LOAD: &[u8] = b"_ZN8eprosima7fastdds3dds24DomainParticipantFactory24load_XML_profiles_stringEPKcm\0";
 
-/// With Fast DDS, participants that this process creates later do not match their own publishers with their own subscriptions: on a topic with
-/// subscriptions on both sides, the bridge would get back each message that it sends to ROS. Not for a process with other nodes of ROS, whose
-/// publishers and subscriptions do not match then, either. A user's default profile goes before it; other RMWs need nothing.
+/// Keeps Fast DDS's participants that this process creates later from matching their own publishers and subscriptions: on a topic with
+/// subscriptions on both sides, the bridge would get back each message that it sends to ROS. Not for a process with other nodes of ROS,
+/// whose publishers and subscriptions would not match, either. A user's default profile takes precedence; other RMWs need nothing.
 ///
 /// # Errors
-/// [`RclError`]: this Fast DDS cannot be told so.
+/// [`RclError`]: this Fast DDS does not have the functions for it, or refuses the profile.
 pub fn ignore_own_endpoints() -> Result<(), RclError> {
     if !rmw_implementation().starts_with("rmw_fastrtps") {
         return Ok(());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The publisher of a message with Cyclone DDS, which gives an instance handle of this process where ROS's graph has GIDs. Its
-//! list of publications, a built-in topic of every participant, has both.
+//! Identifies the publisher of a message with Cyclone DDS, whose messages have an instance handle of this process where ROS's graph has
+//! GIDs. Its list of publications, a built-in topic of every participant, has both.
 
 use super::error::RclError;
 use libloading::Library;
@@ -12,7 +12,7 @@ use tautline_transport::Gid;
 
 /// The RMW that needs this.
 pub(crate) const RMW: &str = "rmw_cyclonedds_cpp";
-/// The library that leads to its DDS, whatever the version.
+/// The library that links its DDS, in every version.
 const LIBRARY: &str = "librmw_cyclonedds_cpp.so";
 
 /// `dds_entity_t`.
@@ -87,7 +87,7 @@ pub(super) struct Publications {
 }
 
 impl Publications {
-    /// Of `domain`, in which the RMW already has a participant and has configured DDS.
+    /// The list of `domain`, in which the RMW already has a participant and has configured DDS.
     pub(super) fn new(domain: u32) -> Result<Self, RclError> {
         Self::of(domain, Path::new(LIBRARY))
     }

@@ -93,7 +93,7 @@ impl RosPublisher {
         check("counting subscriptions", code).map_or(0, |()| count)
     }
 
-    /// Whether every matched reliable subscription has acknowledged all messages. An RMW that cannot tell does not hold up anybody.
+    /// Whether every matched reliable subscription has acknowledged all messages; true if the RMW does not know.
     pub fn are_all_acknowledged(&self) -> bool {
         // SAFETY: it is initialised until it is dropped.
         let code = unsafe { rcl_publisher_wait_for_all_acked(self.end.raw(), 0) };

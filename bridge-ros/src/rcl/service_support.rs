@@ -121,7 +121,7 @@ impl RosStruct {
         Ok(RosStruct { raw, support, _service: service.clone() })
     }
 
-    /// Reads it from CDR with encapsulation.
+    /// Reads the struct from CDR with encapsulation.
     ///
     /// # Errors
     /// [`RclError`]: the bytes are not valid for the type. The struct is valid nevertheless.
@@ -130,7 +130,7 @@ impl RosStruct {
         check("reading a message", unsafe { rmw_deserialize(bytes.raw(), self.support.raw, self.raw) })
     }
 
-    /// Writes it as CDR with encapsulation.
+    /// Writes the struct as CDR with encapsulation.
     ///
     /// # Errors
     /// [`RclError`]: out of memory.

@@ -24,7 +24,7 @@ use types::{BridgedService, ServiceTypes, from_body, to_body};
 /// Maximum of pending requests to ROS: the default queue depth of a server in ROS, which overwrites the oldest. At this limit no
 /// request is taken: they wait in the queue here, and clients get an error when it is full.
 const MOST_PENDING: usize = 10;
-/// The same for an action's get_result requests, which the server takes at once and answers when the goal has ended.
+/// The same maximum for an action's get_result requests, which the server takes at once and answers when the goal has ended.
 const MOST_PENDING_RESULTS: usize = 1024;
 
 /// The nodes in ROS that mirror Tautline's: mirrored services belong to them.
@@ -201,7 +201,7 @@ impl FarClient for Client {
                     });
                 }
                 Ok(None) => return None,
-                // Its request is unknown, and is dropped when room is needed.
+                // The response's request is unknown, and is dropped when room is needed.
                 Err(error) => return Some(Response::Wrong(error.reason)),
             }
         }

@@ -16,10 +16,10 @@ pub fn for_bag(schema: &Schema) -> String {
     renamed(&schema.to_text(), folded)
 }
 
-/// The definition of a topic's type, from a bag. Types that begin as the topic's own, `AddTwoInts_`, are of its kind.
+/// The definition of a topic's type, from a bag. Types whose names begin like the topic's own, `AddTwoInts_`, have its kind.
 ///
 /// # Errors
-/// It is no definition.
+/// The text is no definition.
 pub fn from_bag(name: &TypeName, text: &str) -> Result<Schema, SchemaError> {
     let stem = match name.name().split_once('_') {
         Some((stem, _)) if name.kind() != Kind::Msg => format!("{}/{stem}_", name.package()),
@@ -32,7 +32,7 @@ pub fn from_bag(name: &TypeName, text: &str) -> Result<Schema, SchemaError> {
     Schema::from_text(name, &renamed(text, unfolded))
 }
 
-/// With another name for each type: they are the first word of a field, and the second of a line `MSG: package/Name`.
+/// Renames each type: types are the first word of a field, and the second of a line `MSG: package/Name`.
 fn renamed(text: &str, name: impl Fn(&str) -> String) -> String {
     let renamed = |line: &str| {
         let (front, rest) = match line.strip_prefix("MSG: ") {

@@ -96,7 +96,7 @@ impl Span {
     }
 }
 
-/// Whether this is the second of two policies; the system's default and unknown ones are the first.
+/// Returns whether `found` is the second of two policies; the system's default and unknown ones count as the first.
 fn is_second(found: &str, [first, second]: [&str; 2]) -> Result<bool, String> {
     match found {
         _ if found == second => Ok(true),

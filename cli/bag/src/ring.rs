@@ -16,7 +16,7 @@ pub struct Head {
     pub sequence: u64,
     pub log_ns: u64,
     pub publish_ns: u64,
-    /// Who published the message, if it is recorded.
+    /// The GID of the message's publisher, if it is recorded.
     pub publisher: Gid,
 }
 

@@ -23,7 +23,7 @@ pub fn definitions() -> impl Iterator<Item = Def<&'static str>> {
     COMPARISONS.into_iter().filter_map(define)
 }
 
-/// Replaces these operators in a program.
+/// Replaces the comparison operators of a program by these functions.
 pub fn replace(program: &mut Term<&str>) {
     let all = |terms: &mut [Term<_>]| terms.iter_mut().for_each(replace);
     match program {

@@ -27,7 +27,7 @@ pub struct Verdict<'a> {
     broken: Vec<String>,
 }
 
-/// The host of a file that this one is: `TAUT_HOST`, or the only one.
+/// The name that the file gives to this host: `TAUT_HOST`, or the file's only host.
 pub fn this_host<'f>(file: &'f SystemFile, label: &str) -> Result<&'f str, String> {
     let wanted = tautline_system::environment("TAUT_HOST");
     let refuse =
@@ -36,7 +36,7 @@ pub fn this_host<'f>(file: &'f SystemFile, label: &str) -> Result<&'f str, Strin
 }
 
 impl Admitted {
-    /// Without `domain` it is the environment's domain.
+    /// Analyses the file together with what runs in `domain`, by default the environment's domain.
     pub fn new(file: &SystemFile, label: &str, domain: Option<u32>) -> Result<Admitted, String> {
         let host = this_host(file, label)?;
         let domain = match domain {

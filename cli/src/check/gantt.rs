@@ -87,7 +87,7 @@ fn horizon(core: &CheckedCore, members: &[(&CheckedCallback, Vec<usize>)]) -> (u
     let bounds = members.iter().filter_map(|(callback, _)| callback.response_overhead_ns).max().unwrap_or(0);
     let longest = core.tasks.iter().map(|task| task.period_ns).max().unwrap_or(1);
     let unbounded = members.iter().any(|(callback, _)| callback.response_overhead_ns.is_none());
-    // A deadline not much later is worth showing, too.
+    // Deadlines not much later than the bounds are shown, too.
     let deadlines = members.iter().map(|(callback, _)| callback.entry.deadline_ns);
     let deadline =
         deadlines.filter(|deadline| *deadline <= bounds.saturating_add(bounds / 4)).max().unwrap_or(0);

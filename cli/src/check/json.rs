@@ -47,7 +47,7 @@ struct Callback<'a> {
     join: Option<Join<'a>>,
 }
 
-/// Who wakes the thread, and why the sampler does.
+/// What wakes the thread, and the reason if it is the sampler.
 #[derive(Serialize)]
 struct WakeUp {
     by: &'static str,
@@ -72,7 +72,7 @@ struct Reservation {
     floats: bool,
 }
 
-/// Without a window: the newest of each. With a policy where the file names one.
+/// A join. Without a window it takes the newest message of each topic. The policy is present if the file names one.
 #[derive(Serialize)]
 struct Join<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -95,7 +95,7 @@ struct Chain<'a> {
     deadline_ms: f64,
 }
 
-/// The stalls that the queues bridge.
+/// A stall that the queues outlast.
 #[derive(Serialize)]
 struct Stall<'a> {
     host: &'a str,

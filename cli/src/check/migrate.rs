@@ -5,22 +5,22 @@ use std::path::Path;
 use tautline_analysis::file::version::{CURRENT, refusal};
 use toml_edit::{DocumentMut, Item, Value};
 
-/// Takes a file from one version to the next, and says what it changes, a sentence each.
+/// Changes a file from one version to the next. Returns a sentence for each change.
 type Step = fn(&mut DocumentMut) -> Vec<String>;
 
-/// The first takes a file from version 1 to 2.
+/// The steps in order; the first one leads from version 1 to 2.
 const STEPS: [Step; CURRENT as usize - 1] = [];
 
-/// What became of a file.
+/// The result of a migration.
 pub struct Migration {
-    /// `None`: the file did not say.
+    /// The version that the file stated; `None` if it stated none.
     from: Option<i64>,
     text: String,
     changes: Vec<String>,
 }
 
 impl Migration {
-    /// Of the file at `path`, which is replaced if that changes it.
+    /// Migrates the file at `path`, which is replaced if its text changes.
     ///
     /// # Errors
     /// A sentence without the path.
@@ -34,7 +34,7 @@ impl Migration {
         Ok(migration)
     }
 
-    /// Of a text, to the version that these steps lead to.
+    /// Migrates a text to the version that these steps lead to.
     fn new(text: &str, steps: &[Step]) -> Result<Self, String> {
         let mut document: DocumentMut = text.parse().map_err(|error| format!("it is not TOML: {error}"))?;
         let from = match document.get("version").map(Item::as_integer) {
@@ -63,13 +63,13 @@ impl Migration {
         Ok(Migration { from, text, changes })
     }
 
-    /// As JSON.
+    /// The result as JSON.
     pub fn to_json(&self, path: &Path) -> serde_json::Value {
         let Migration { from, changes, .. } = self;
         serde_json::json!({ "file": path.display().to_string(), "from": from, "to": CURRENT, "changes": changes })
     }
 
-    /// For people.
+    /// The result for people.
     pub fn to_text(&self, path: &Path) -> String {
         let path = path.display();
         if self.changes.is_empty() {
@@ -82,7 +82,7 @@ impl Migration {
     }
 }
 
-/// The text with its version below the comment that it begins with, where every key is still one of the whole file.
+/// The text with a `version` below its leading comment. No table begins before this place, so the key belongs to the whole file.
 fn stated(text: &str, version: i64) -> String {
     let lines = text.split_inclusive('\n').take_while(|line| line.starts_with('#'));
     let head = lines.map(str::len).sum();

@@ -80,7 +80,7 @@ pub fn run(args: &CheckArgs) -> Outcome<ExitCode> {
         crate::replace::write(path, gantt::draw(&checked)).map_err(refuse)?;
     }
     match print(args, &file, &checked, admitted.as_ref()) {
-        // Else the reader has closed the pipe (`taut check | head`).
+        // A broken pipe is no error: the reader has ended (`taut check | head`).
         Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(error.into()),
         _ if is_good => Ok(ExitCode::SUCCESS),
         _ => Ok(ExitCode::from(1)),
@@ -120,7 +120,7 @@ pub fn read_file(path: &Path) -> Outcome<SystemFile> {
     })
 }
 
-/// The problems as file:line:column, to which editors can jump.
+/// Prints the problems as file:line:column, to which editors can jump.
 pub(crate) fn print_file_error(error: &FileError) {
     if let FileError::Content { path, source } = error {
         let count = source.0.len();

@@ -38,7 +38,7 @@ impl Growth {
             let wcet_ms = (now_ns * u128::from(thousandths) / 1_000) as f64 / 1e6;
             CallbackGrowth { name: callback.name.clone(), wcet: factor(thousandths), wcet_ms }
         });
-        // The search ends at this factor: nothing limits it.
+        // The search ends at this factor: nothing limits the overheads.
         let overhead = Some(sensitivity::overhead(system)).filter(|factor| *factor < 1_000_000).map(factor);
         Self {
             load: factor(sensitivity::load(system)),

@@ -61,7 +61,7 @@ fn write_inputs(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()>
     writeln!(out, "wcet holds of {}.", stated.join(", "))
 }
 
-/// Writes which threads publishers wake, and why not the others: those of a reason together.
+/// Writes which threads publishers wake, and why the sampler wakes the others, which are grouped by reason.
 fn write_wake_ups(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
     let mut groups: Vec<(WakeUp, Vec<&str>)> = Vec::new();
     for CheckedCallback { entry, .. } in &checked.callbacks {
@@ -165,7 +165,7 @@ fn verdict(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
     writeln!(out, "{BAD}Not schedulable: {} may miss the deadline.{BAD:#}", late.join(", "))
 }
 
-/// Rounded down.
+/// The time between response and deadline, rounded down.
 fn slack(response: Option<u64>, deadline: u64) -> String {
     let us = |response: u64| (i128::from(deadline) - i128::from(response)).div_euclid(1_000);
     response.map_or("-".into(), |response| format!("{:.3}", us(response) as f64 / 1e3))

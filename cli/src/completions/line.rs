@@ -10,9 +10,9 @@ use tautline::Context;
 pub struct Line {
     /// Words without a dash.
     pub words: Vec<String>,
-    /// The number of these before the word to complete.
+    /// The number of such words before the word to complete.
     pub place: usize,
-    /// Whether a word without a dash may stand there.
+    /// Whether the word to complete may be one without a dash.
     pub takes_word: bool,
     /// The values of options, by the options' identifiers.
     options: Vec<(String, String)>,

@@ -26,14 +26,14 @@ use tautline_rt::clock::test_time;
 use tautline_schema::{Kind, TypeName};
 use tautline_transport::{GraphSnapshot, ServiceKind, graph_of};
 
-/// The time after its start at which this process answers: people notice 100 ms, and the shell needs a part of them.
+/// The time after its start at which this process answers at the latest: people notice 100 ms, and the shell needs a part of that.
 const LIMIT: Duration = Duration::from_millis(80);
 /// The time after its start until which this process waits for a node; leaving the domain takes the rest.
 const PATIENCE: Duration = Duration::from_millis(60);
 
 /// Names, each with a description for shells that show one.
 type Names = BTreeMap<String, String>;
-/// The source may return only names that begin with the word.
+/// A source of names; it may leave out names that do not begin with the word.
 type Find = fn(asked: &'static Asked, word: &str) -> Option<Names>;
 
 fn completer(find: Find) -> ArgValueCompleter {
@@ -123,25 +123,25 @@ pub fn nodes() -> ArgValueCompleter {
     completer(|asked, _| Some(bare(asked.graph()?.nodes.iter().map(|node| node.name.full_name()))))
 }
 
-fn having(asked: &Asked, service: &str) -> Option<Names> {
+fn nodes_with(asked: &Asked, service: &str) -> Option<Names> {
     Some(bare(nodes_serving(asked.line.domain()?, service).ok()?))
 }
 
 pub fn parameter_nodes() -> ArgValueCompleter {
-    completer(|asked, _| having(asked, "list_parameters"))
+    completer(|asked, _| nodes_with(asked, "list_parameters"))
 }
 
 pub fn lifecycle_nodes() -> ArgValueCompleter {
-    completer(|asked, _| having(asked, "get_state"))
+    completer(|asked, _| nodes_with(asked, "get_state"))
 }
 
 /// The nodes whose loggers' levels can be set.
 pub fn logging_nodes() -> ArgValueCompleter {
-    completer(|asked, _| having(asked, "set_logger_levels"))
+    completer(|asked, _| nodes_with(asked, "set_logger_levels"))
 }
 
 pub fn containers() -> ArgValueCompleter {
-    completer(|asked, _| having(asked, "_container/list_nodes"))
+    completer(|asked, _| nodes_with(asked, "_container/list_nodes"))
 }
 
 /// The services or actions of the domain. `of` selects them by the name and type of a service.

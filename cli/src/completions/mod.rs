@@ -86,20 +86,20 @@ static ASKED: OnceLock<Asked> = OnceLock::new();
 /// Prints candidates if a shell called this program for them, as it does at each press of the tab key. Call this before anything else.
 pub fn answer(command: impl Fn() -> Command) -> Option<ExitCode> {
     let since = Instant::now();
-    // Others have a variable of this name too.
+    // Other programs use a variable of this name, too.
     let shell = SHELLS.completer(env::var_os(VARIABLE)?.to_str()?)?;
     let words: Vec<OsString> = env::args_os().skip_while(|word| word != "--").skip(1).collect();
     let answer = if words.is_empty() {
         script(shell)
     } else {
-        // Nothing but candidates is to be seen on the user's line.
+        // Only candidates may appear on the user's line, so standard error is discarded.
         if let Ok(null) = OpenOptions::new().write(true).open("/dev/null") {
             let _ = rustix::stdio::dup2_stderr(null);
         }
         let index = env::var(INDEX).ok().and_then(|index| index.parse().ok());
         let index = index.unwrap_or(words.len() - 1).min(words.len());
         if index > 1 {
-            become_whose_verb_it_is(&words[1]);
+            become_program_of(&words[1]);
         }
         candidates(command(), shell.name(), words, index, since)
             .map(|candidates| written(shell.name(), &candidates))
@@ -108,8 +108,8 @@ pub fn answer(command: impl Fn() -> Command) -> Option<ExitCode> {
     Some(if done.is_ok() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// A verb of another program is completed by that one. Returns if it is none, if this is that program, or if it cannot be started.
-fn become_whose_verb_it_is(verb: &OsStr) {
+/// Replaces this process by the program that has this verb. Returns if none has it, if this is that program, or if it cannot be started.
+fn become_program_of(verb: &OsStr) {
     let is_its = |verbs: &[&str]| verbs.iter().any(|name| *name == verb);
     let Some((sibling, _)) = WITH_VERBS.iter().find(|(_, verbs)| is_its(verbs)) else { return };
     if env::current_exe().is_ok_and(|own| own.file_name() != Some(sibling.program.as_ref())) {
@@ -129,11 +129,11 @@ fn script(shell: &dyn EnvCompleter) -> io::Result<Vec<u8>> {
         shell.write_registration(VARIABLE, "taut", "taut", &path, &mut script)?;
         return Ok(script);
     }
-    // clap_complete puts double quotes around a path that it has quoted if it must be.
+    // clap_complete quotes a path if necessary, and then puts double quotes around it.
     shell.write_registration(VARIABLE, "taut", "taut", PROGRAM, &mut script)?;
     let quoted = format!("'{}'", path.replace('\'', r"'\''"));
     let script = String::from_utf8_lossy(&script).replace(&format!("\"{PROGRAM}\""), &quoted);
-    // Elements of lists have brackets, which are no patterns of files.
+    // Elements of lists have brackets, which bash must not expand as file patterns.
     Ok(script.replacen("COMPREPLY=( $( ", "local -; set -f; COMPREPLY=( $( ", 1).into_bytes())
 }
 

@@ -6,7 +6,7 @@ use tautline_schema::{Base, Definition, Schema, Shape};
 /// The maximum number of candidates.
 const MOST: usize = 1000;
 
-/// The paths that begin with `typed`, as `taut topic echo --field` reads them. Elements of lists are among them once there is a bracket.
+/// The paths that begin with `typed`, as `taut topic echo --field` reads them, with elements of lists if `typed` contains a bracket.
 pub fn of(schema: &Schema, typed: &str) -> Vec<(String, String)> {
     let mut found = Vec::new();
     let (numbered, begin) = (typed.contains('['), with_zeros(typed));
@@ -49,7 +49,7 @@ fn add(
     }
 }
 
-/// With 0 in the place of every index.
+/// The path with 0 in place of each index.
 fn with_zeros(typed: &str) -> String {
     let mut parts = typed.split('[');
     let first = parts.next().unwrap_or_default().to_owned();

@@ -117,7 +117,7 @@ impl MomentCollector {
         callbacks: impl IntoIterator<Item = &'a CallbackHandle>,
         progress: impl Fn() + Send + 'static,
     ) -> Self {
-        // Each with the number of moments that were collected or overwritten before.
+        // Each source has the number of its moments that were collected or overwritten before.
         let source = |stats: &Arc<CallbackStats>| (Arc::clone(stats), 0);
         let mut of_callbacks: Vec<_> =
             callbacks.into_iter().map(|callback| source(callback.stats())).collect();

@@ -23,7 +23,7 @@ pub enum Line {
 #[derive(Serialize, Deserialize, Debug, Default)]
 pub struct Published {
     pub messages: u64,
-    /// CPU time for that, in nanoseconds.
+    /// CPU time for these messages, in nanoseconds.
     pub cpu_ns: u64,
     /// Releases that came too late to be published.
     pub missed: u64,
@@ -50,7 +50,7 @@ pub struct Job {
     pub ready_ns: u64,
     pub begin_ns: u64,
     pub end_ns: u64,
-    /// How long it waited for the core from then to its end.
+    /// How long the thread waited for the core from `ready_ns` to `end_ns`.
     pub waited_ns: u64,
 }
 

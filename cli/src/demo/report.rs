@@ -75,7 +75,7 @@ pub struct TopicReport {
     pub p99_ms: Option<f64>,
     /// Longest response time.
     pub max_ms: Option<f64>,
-    /// Predicted worst case on a machine that costs nothing; `None` (null) if there is no bound.
+    /// Predicted worst case without overheads; `None` (null) if there is no bound.
     pub rta_ms: Option<f64>,
     /// Predicted worst case with the measured overhead; `None` (null) if there is no bound.
     pub rta_overhead_ms: Option<f64>,
@@ -91,8 +91,8 @@ pub struct TopicReport {
     pub rta_host_ms: Option<f64>,
     /// Response times above `rta_overhead_ms`.
     pub beyond: u64,
-    /// Those of them that are defects: the time of the host, of other threads and of the middleware before their ends does not explain them
-    /// to 0.1 ms.
+    /// Those of them that are defects: the time that the host, other threads and the middleware had before their ends does not explain
+    /// them to within 0.1 ms.
     pub unexplained: u64,
     /// The longest of these, unexplained ones first; `None` (null) if there is none.
     pub worst: Option<Worst>,
@@ -124,7 +124,7 @@ pub struct TopicRun {
     pub task: Task,
     /// Scheduled releases, in ns of `CLOCK_MONOTONIC`.
     pub releases_ns: Vec<u64>,
-    /// Response times from there to the end of the callback, in nanoseconds and in the same order.
+    /// Response times from release to end of callback, in nanoseconds and in the same order.
     pub latencies_ns: Vec<u64>,
     /// Messages overwritten before their callback took them.
     pub lost: u64,
@@ -208,7 +208,7 @@ fn interrupt_task(seen: &Interruptions) -> Option<Task> {
     Some(Task::new("interrupts", period, work, u8::MAX).message_overhead(Duration::ZERO))
 }
 
-/// Condenses the runs and sets their prediction beside them, in the order given.
+/// Summarises each run with its prediction, in the given order.
 pub fn topic_reports(runs: Vec<TopicRun>, costs: &Costs) -> Vec<TopicReport> {
     let tasks: Vec<_> = runs.iter().map(|run| run.task.clone()).collect();
     let predictions = predict(&tasks, costs);
@@ -275,7 +275,7 @@ struct Excess {
 }
 
 impl Excess {
-    /// `bound` computes the topic's bound from the time that a window loses to others than the middleware, and in all.
+    /// `bound` computes the topic's bound from two times that a window loses: to everything except the middleware, and in total.
     fn of(
         run: &TopicRun,
         prediction: Prediction,

@@ -90,7 +90,7 @@ fn measured(callbacks: Vec<Callback>, collector: MomentCollector, cpu_ns: u64) -
 
 /// The buffer into which a callback writes its jobs; allocated before the callback starts.
 struct Log {
-    /// Release, since when it was ready, begin, end, time that it waited.
+    /// Release, time from which the thread was ready, begin, end, and time that it waited, as in `Job`.
     entries: Box<[[AtomicU64; 5]]>,
     count: AtomicUsize,
 }
@@ -103,11 +103,11 @@ impl Log {
         Log { entries: (0..room).map(|_| Default::default()).collect(), count: AtomicUsize::new(0) }
     }
 
-    /// `before`: the end of the previous job.
+    /// Records a job; `before` is the end of the previous one.
     fn note(&self, release_ns: u64, [before, begin, end]: [&CoreMark; 3]) {
         let index = self.count.load(Ordering::Relaxed);
         if let Some(entry) = self.entries.get(index) {
-            // The wait before the job's beginning counts from its release at most: the thread waited the rest before it slept.
+            // The wait before the job's beginning counts only from its release: the thread waited the rest before it slept.
             let waited_ns = before.waited_until(begin).unwrap_or(0);
             let ready_ns = begin.from_ns.saturating_sub(waited_ns).max(release_ns).min(begin.from_ns);
             // The time of reading a mark belongs to the job.

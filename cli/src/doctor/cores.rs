@@ -96,8 +96,8 @@ pub fn interrupts(host: &Host) -> Checked {
         })))
 }
 
-/// Whether each core has an interrupt of this number for itself, for its timer or for other cores' calls: no device's, and not to be sent elsewhere.
-/// Where they have numbers, as on ARM and RISC-V, the controller's own number tells.
+/// Whether each core has its own interrupt of this number, for its timer or for other cores' calls: no device's, and not to be moved.
+/// Where such interrupts have numbers, as on ARM and RISC-V, the interrupt controller's own number identifies them.
 fn is_of_each_core(host: &Host, number: u32) -> bool {
     let read = |name| host.tree.read(&format!("/sys/kernel/irq/{number}/{name}")).unwrap_or_default();
     match &*read("chip_name") {

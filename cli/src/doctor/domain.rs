@@ -31,7 +31,7 @@ pub fn findings(tree: &Tree, domain: u32) -> Vec<Finding> {
             }));
             findings
         }
-        // Its own file is of another version.
+        // The domain's own file is of another version.
         Err(error @ TransportError::Version { .. }) => versions(&[error]),
         Err(error) => vec![Finding::of("domain", Err(error.to_string()))],
     };
@@ -138,12 +138,12 @@ fn left_behind(domain: u32) -> super::finding::Checked {
         _ => "`taut trace record --seconds 0` fetches traces and removes them; the domain's processes remove the rest".to_owned(),
     };
     Ok(Finding::new(Verdict::Advice, value).fix(fix).script(
-        // Only as a comment: processes may run when the script does.
+        // Only as a comment: processes may run again when the script is run.
         (living == 0).then(|| format!("# If no process of domain {domain} runs: rm -r '{path}'")),
     ))
 }
 
-/// What is left of this user's other domains in which every process was killed, of all scopes; with `remove` it is removed.
+/// Reports what is left of this user's other domains in which every process was killed, of all scopes; removes it if `remove` is set.
 pub fn dead_domains(remove: bool) -> super::finding::Checked {
     let folders = all_shared_folders().map_err(|error| format!("{}: {error}", shm::DIRECTORY))?;
     let (mut left, mut removed) = (Vec::new(), Vec::new());

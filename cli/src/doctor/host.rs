@@ -86,7 +86,7 @@ impl Host {
     /// The real-time cores are the named ones, else the isolated ones, else all.
     pub fn new(tree: Tree, named: Option<CoreSet>, priority: u8) -> Self {
         let file = "/sys/devices/system/cpu/online";
-        // Without a core no check could fail.
+        // With an empty set of cores, no check could fail.
         let is_some =
             |cores: CoreSet| (!cores.is_empty()).then_some(cores).ok_or_else(|| format!("{file} is empty"));
         let online = tree.cores(file).and_then(is_some);
@@ -103,7 +103,7 @@ impl Host {
         self.chosen.map_or_else(|| self.online(), Ok)
     }
 
-    /// Whether they were named or are isolated.
+    /// Whether the real-time cores were named or are isolated.
     pub fn is_chosen(&self) -> bool {
         self.chosen.is_some()
     }
@@ -114,7 +114,7 @@ impl Host {
         Ok(self.online()?.iter().filter(|core| !cores.contains(*core)).collect())
     }
 
-    /// `6.18` of the kernel's release.
+    /// The major and minor number of the kernel's release, such as 6 and 18.
     pub fn kernel(&self) -> Result<(u32, u32), String> {
         let text = self.tree.read("/proc/sys/kernel/osrelease")?;
         let mut numbers = text.split(|c: char| !c.is_ascii_digit()).map(str::parse);
@@ -124,7 +124,7 @@ impl Host {
         }
     }
 
-    /// Whether it runs on a hypervisor, according to the processor, the kernel or the firmware.
+    /// Whether the host runs on a hypervisor, according to the processor, the kernel or the firmware.
     pub fn is_virtual(&self) -> Result<bool, String> {
         let info = self.tree.read("/proc/cpuinfo")?;
         let mut flags = info.lines().filter(|line| line.starts_with("flags")).peekable();
@@ -134,7 +134,7 @@ impl Host {
         if flags.peek().is_some() {
             return Ok(flags.flat_map(str::split_whitespace).any(|flag| flag == "hypervisor"));
         }
-        // An x86 processor tells; others have no such flag.
+        // Only x86 processors have such a flag; for others, the device tree and the firmware's tables are read.
         let has_node = |node: &String| node == "hypervisor" || node.starts_with("fw-cfg@");
         let tree = self.tree.list("/proc/device-tree").unwrap_or_default();
         let compatible = self.tree.read("/proc/device-tree/compatible").unwrap_or_default();
@@ -146,7 +146,7 @@ impl Host {
     }
 }
 
-/// How hypervisors name the machines that they make, in the firmware's tables (DMI).
+/// Prefixes of the vendor or product names of virtual machines in the firmware's tables (DMI).
 const VIRTUAL: [&str; 10] = [
     "QEMU",
     "KVM",

@@ -32,8 +32,8 @@ pub fn preemption(host: &Host) -> Checked {
         ]))
 }
 
-/// Whether a thread that has used its budget is stopped. It is tried: the kernel's name does not tell which of its threads serves timers,
-/// and at which priority.
+/// Whether a thread that has used its budget is stopped. This is tried, because the kernel's name does not tell which of its threads serves
+/// timers, and at which priority.
 pub fn budgets(host: &Host) -> Checked {
     let (sampler, highest) = (host.priority, host.priority.saturating_sub(1));
     match prove_enforcement_by(Enforcement::Timer, sampler) {
@@ -68,7 +68,7 @@ pub fn budgets(host: &Host) -> Checked {
         .script([format!("# Timers of all threads then run above real-time threads: {raise}")]))
 }
 
-/// The limit of real-time threads in µs of a period (-1: none), and whether the kernel applies it.
+/// The time in µs that real-time threads may use of each period (-1: no limit), the period in µs, and whether the kernel applies the limit.
 fn limit(host: &Host) -> Result<(i64, i64, bool), String> {
     let (runtime, period) = (host.tree.parse(RUNTIME)?, host.tree.parse(PERIOD)?);
     // Since Linux 6.12 this limit applies to real-time groups only; the fair server protects other threads.
@@ -76,14 +76,14 @@ fn limit(host: &Host) -> Result<(i64, i64, bool), String> {
     Ok((runtime, period, is_applied))
 }
 
-/// Whether the kernel was built with real-time groups; if its configuration cannot be read, it may have been.
+/// Whether the kernel was built with real-time groups; `true` also if its configuration cannot be read.
 fn has_groups(host: &Host) -> Result<bool, String> {
     let config = format!("/boot/config-{}", host.tree.read("/proc/sys/kernel/osrelease")?);
     let is_built = |config: String| config.lines().any(|line| line == "CONFIG_RT_GROUP_SCHED=y");
     Ok(host.tree.read(&config).map_or(true, is_built))
 }
 
-/// The time that real-time threads get of each period, and the period, in µs; `None`: all of it.
+/// The time that real-time threads get of each period, and the period, in µs; `None` if they get all of it.
 pub fn allowance(host: &Host) -> Result<Option<(i64, i64)>, String> {
     let (runtime, period, is_applied) = limit(host)?;
     if is_applied && (0..period).contains(&runtime) {

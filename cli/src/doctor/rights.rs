@@ -15,7 +15,7 @@ const IPC_LOCK: u32 = 14;
 
 const LIMITS: &str = "/etc/security/limits.d/90-tautline.conf";
 
-/// The script lines that permit it to a group of users.
+/// The script lines that grant these limits to a group of users.
 fn allow(limits: &[&str]) -> Vec<String> {
     let lines = limits.iter().map(|limit| {
         format!("grep -qs '^@realtime - {limit}$' {LIMITS} || echo '@realtime - {limit}' >> {LIMITS}")
@@ -83,7 +83,7 @@ fn limit(tree: &Tree, name: &str) -> Result<Option<u64>, String> {
     }
 }
 
-/// The words behind `name:` in /proc/self/status.
+/// The value of `name` in /proc/self/status.
 fn status(tree: &Tree, name: &str) -> Result<String, String> {
     let text = tree.read("/proc/self/status")?;
     let value = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(':'));
@@ -115,7 +115,7 @@ pub fn cgroup(host: &Host) -> Checked {
     if runtime != "0" {
         return Ok(Finding::good(format!("group {group} has {runtime} µs of each period")));
     }
-    // A container has its own group alone, where those above are not.
+    // A container shows only its own group, not the groups above it.
     let leave = folder.to_str().and_then(|folder| folder.strip_suffix(group));
     let leave = leave.map(|mount| format!("echo $$ > {mount}/cgroup.procs"));
     let fix = match &leave {
@@ -133,7 +133,7 @@ pub fn cgroup(host: &Host) -> Checked {
         .script(script))
 }
 
-/// Users below this number are the system's, whose files logind leaves alone (SYS_UID_MAX).
+/// Users below this number are system users, whose files logind does not remove (SYS_UID_MAX).
 const FIRST_USER: u32 = 1000;
 
 pub fn remove_ipc(host: &Host) -> Checked {
@@ -164,7 +164,7 @@ pub fn remove_ipc(host: &Host) -> Checked {
     ]))
 }
 
-/// The value that logind uses: that of the last drop-in by name, else of its file. Of drop-ins with the same name the first folder's counts.
+/// The value that logind uses, and its file: the last drop-in by name, else logind.conf. Of drop-ins of one name the last folder's counts.
 fn setting(tree: &Tree, key: &str) -> Result<(String, String), String> {
     let mut drop_ins = BTreeMap::new();
     for folder in ["/usr/lib/systemd", "/run/systemd", "/etc/systemd"] {

@@ -220,7 +220,7 @@ fn body_size(topic: &str, type_name: &str) -> Option<Size> {
 #[derive(Debug, PartialEq)]
 struct KernelThread {
     name: String,
-    /// Of SCHED_FIFO or SCHED_RR.
+    /// The priority under SCHED_FIFO or SCHED_RR.
     priority: Option<u8>,
 }
 

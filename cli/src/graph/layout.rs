@@ -25,7 +25,7 @@ pub struct Size {
 pub struct Link {
     pub from: usize,
     pub to: usize,
-    /// The cost if this link goes from right to left; among several candidates the one with the least cost does.
+    /// The cost if this link goes from right to left; of several candidates, the link with the least cost does.
     pub weight: i64,
     pub label: Option<Size>,
 }

@@ -186,7 +186,7 @@ fn gather_picture(args: &GraphArgs, checked: Option<&CheckedSystem>) -> Outcome<
     Ok(picture)
 }
 
-/// Maps each callback's name to the process that runs it.
+/// Maps each callback's name to the processes that run it.
 fn callbacks(domain: u32) -> Outcome<BTreeMap<String, BTreeSet<u32>>> {
     let mut found: BTreeMap<String, BTreeSet<u32>> = BTreeMap::new();
     for process in tautline_system::shared_statistics(domain)?.0 {

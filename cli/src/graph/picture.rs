@@ -16,7 +16,7 @@ pub struct Picture {
     pub mismatches: Vec<Mismatch>,
     /// Chains of the system file.
     pub chains: Vec<Chain>,
-    /// Topics, services and actions that every node has, or that are a part of another one.
+    /// The number of omitted topics, services and actions, which every node has or which are parts of an action.
     pub left_out: usize,
 }
 

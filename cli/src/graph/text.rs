@@ -12,7 +12,7 @@ pub fn write(picture: &Picture) -> String {
     }
     let has_ends = |index: usize| picture.edges.iter().any(|edge| edge.node == index);
     let alone = picture.nodes.iter().enumerate().filter(|(index, _)| !has_ends(*index));
-    let alone: Vec<String> = alone.map(|(index, _)| who(picture, index)).collect();
+    let alone: Vec<String> = alone.map(|(index, _)| label(picture, index)).collect();
     if !alone.is_empty() {
         line(true, &format!("without any of these: {}", alone.join(", ")), &mut text);
         text.push('\n');
@@ -41,10 +41,10 @@ fn write_topic(picture: &Picture, index: usize, topic: &Topic, text: &mut String
 fn write_edge(picture: &Picture, edge: &Edge, text: &mut String) {
     let qos = if edge.qos.is_empty() { String::new() } else { format!("  {}", edge.qos) };
     let more = edge.lines().iter().map(|line| format!("  {line}")).collect::<String>();
-    line(!edge.is_bad(), &format!("  {:<12}  {}{qos}{more}", edge.word(), who(picture, edge.node)), text);
+    line(!edge.is_bad(), &format!("  {:<12}  {}{qos}{more}", edge.word(), label(picture, edge.node)), text);
 }
 
-fn who(picture: &Picture, index: usize) -> String {
+fn label(picture: &Picture, index: usize) -> String {
     let node = &picture.nodes[index];
     match &node.name {
         Some(name) => format!("{name} ({})", node.whereabouts()),

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A system file of what a recording shows. Callbacks are those that ran; what each publishes is what its thread published meanwhile. Of
-//! timers of ROS's clients only that is seen: what a thread that waits in the RMW publishes between its wake and its first take.
+//! Describes a recording as a system file: the callbacks that ran, each with the topics that its thread published meanwhile. Of timers of
+//! ROS's client libraries only publications are seen: those of a thread that waits in the RMW, between its wake and its first take.
 
 use crate::trace::messages::{Run, runs};
 use crate::trace::recording::{Process, Recording};
@@ -24,7 +24,7 @@ struct Callback {
     trigger: Trigger,
     runs: usize,
     longest_ns: u64,
-    /// Whether that is processor time.
+    /// Whether `longest_ns` is processor time.
     is_exact: bool,
     publishes: BTreeSet<String>,
 }
@@ -32,27 +32,27 @@ struct Callback {
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord)]
 enum Trigger {
     Timer(u64),
-    /// One of ROS's clients, by the mean distance of what it publishes.
+    /// A timer of a ROS client library, with the mean distance of its publications.
     Unseen(u64),
     Topic(String),
-    /// A stream of the program's own.
+    /// Neither a timer nor a subscription, such as a stream of the program's own.
     Unknown,
 }
 
-/// Topics that ROS's clients publish by themselves.
+/// Topics that ROS's client libraries publish by themselves.
 const OF_EVERY_NODE: [&str; 2] = ["/rosout", "/parameter_events"];
 
-/// By process and number.
+/// Threads by process and thread id.
 type Threads = HashMap<(u32, u32), ThreadInfo>;
 
-/// How often something was published by other threads than those of callbacks.
+/// How often a topic is published that no callback publishes.
 struct Rate {
     messages: usize,
     /// Mean distance and greatest deviation from that; `None` with fewer than three messages.
     regular: Option<(u64, u64)>,
 }
 
-/// Without what processes recorded that have ended: a killed one's is fetched with the others'.
+/// Drops processes that have ended: a recorder also fetches what killed processes left.
 pub fn of_those_that_run(mut recording: Recording) -> Recording {
     recording.processes.retain(|_, process| !process.has_ended);
     recording.events.retain(|timed| recording.processes.contains_key(&timed.process));
@@ -84,7 +84,7 @@ pub fn describe(recording: &Recording) -> Described {
     Described { text: file.text, callbacks: count, guesses: file.guesses }
 }
 
-/// One for each node and topic, or timer.
+/// The callbacks: one for each node, thread, and topic or timer.
 fn callbacks(recording: &Recording, threads: &Threads) -> Vec<Callback> {
     let mut found: BTreeMap<(String, Trigger, u32, u32), Callback> = BTreeMap::new();
     let runs = runs(recording);
@@ -107,7 +107,7 @@ fn callbacks(recording: &Recording, threads: &Threads) -> Vec<Callback> {
             _ => Trigger::Unknown,
         };
         let node = source.and_then(|source| node_of(recording, run.process, source.parent));
-        // An RMW that has no system file calls a callback `/node /topic`.
+        // An RMW without a system file names a callback `/node /topic`.
         let node = node.or_else(|| callback.name.split_once(" /").map(|(node, _)| node.to_owned()));
         let node = node.unwrap_or_else(|| format!("process_{}", pid(recording, run.process)));
         let place = (node.clone(), trigger.clone(), run.process, run.tid);
@@ -140,15 +140,15 @@ fn callbacks(recording: &Recording, threads: &Threads) -> Vec<Callback> {
     callbacks
 }
 
-/// What a thread of ROS's did between its wake and its first take.
+/// What a thread of a ROS executor did between its wake and its first take.
 struct Round {
     woken_ns: u64,
     ends_ns: u64,
-    /// When it published, on which topic in which node.
+    /// The publications: time, topic and node.
     published: Vec<(u64, String, String)>,
 }
 
-/// Timers of ROS's clients, which their executors run before they take anything.
+/// The timers of ROS's client libraries, whose executors run timers before they take anything.
 fn unseen_timers(recording: &Recording, runs: &HashMap<(u32, u32), Vec<&Run>>) -> Vec<Callback> {
     let mut rounds: BTreeMap<(u32, u32), Vec<Round>> = BTreeMap::new();
     for timed in &recording.events {
@@ -181,7 +181,7 @@ fn unseen_timers(recording: &Recording, runs: &HashMap<(u32, u32), Vec<&Run>>) -
     rounds.into_iter().flat_map(|((process, tid), rounds)| timers_of_thread(process, tid, &rounds)).collect()
 }
 
-/// A timer, by the rounds in which it published.
+/// A timer, identified by the rounds in which it published.
 struct Timer<'r> {
     node: &'r str,
     rounds: Vec<usize>,
@@ -189,9 +189,9 @@ struct Timer<'r> {
     publishes: BTreeSet<String>,
 }
 
-/// Topics of a node that it always publishes in the same rounds are one timer's.
+/// The timers of a thread. Topics that a node always publishes in the same rounds belong to one timer.
 fn timers_of_thread(process: u32, tid: u32, rounds: &[Round]) -> Vec<Callback> {
-    // The rounds that published on a topic of a node, and when they did first.
+    // For each topic of a node, the rounds in which it was published, each with the time of the first publication.
     let mut topics: BTreeMap<(&str, &str), BTreeMap<usize, u64>> = BTreeMap::new();
     for (index, round) in rounds.iter().enumerate().filter(|(_, round)| round.ends_ns != u64::MAX) {
         for (time_ns, topic, node) in &round.published {
@@ -251,7 +251,7 @@ fn pid(recording: &Recording, process: u32) -> u32 {
     recording.processes.get(&process).map_or(0, |of| of.pid)
 }
 
-/// As a key in TOML, which needs no quotes.
+/// The name as a TOML key that needs no quotes.
 fn key(name: &str) -> String {
     let letters = name.chars().map(|c| if c.is_ascii_alphanumeric() || "_-".contains(c) { c } else { '_' });
     let key: String = letters.collect();
@@ -268,12 +268,12 @@ fn threads(recording: &Recording) -> Threads {
     recording.processes.iter().flat_map(of).collect()
 }
 
-/// The processor time of each run. Where it was not measured it is the time from start to end, without that of runs which preempted it:
+/// The processor time of each run. If it was not measured, it is the time from start to end without the time of runs that preempted it:
 /// those that lie within it on the only core of both threads.
 fn used(runs: &[Run], threads: &Threads) -> Vec<u64> {
     let mut used: Vec<u64> =
         runs.iter().map(|run| run.end_ns.map_or(0, |end_ns| end_ns.saturating_sub(run.start_ns))).collect();
-    // Of each core, those that have begun and may not have ended, the inner ones last.
+    // For each core, the runs that have begun and may not have ended, the inner ones last.
     let mut open: HashMap<usize, Vec<usize>> = HashMap::new();
     for (index, run) in runs.iter().enumerate() {
         let core = threads.get(&(run.process, run.tid)).map(core_of);
@@ -289,7 +289,7 @@ fn used(runs: &[Run], threads: &Threads) -> Vec<u64> {
     used
 }
 
-/// Topics that threads without callbacks publish, or that callbacks take and nobody here publishes.
+/// The rate of each topic that triggers a callback and that no callback publishes: of its publications, or of its takes if it has none.
 fn rates(recording: &Recording, callbacks: &[Callback]) -> BTreeMap<String, Rate> {
     let by_callbacks: BTreeSet<_> = callbacks.iter().flat_map(|callback| &callback.publishes).collect();
     let mut times: BTreeMap<String, Vec<u64>> = BTreeMap::new();
@@ -334,7 +334,7 @@ fn core_of(thread: &ThreadInfo) -> (usize, bool) {
     (thread.cores.iter().next().unwrap_or(0), thread.cores.len() > 1)
 }
 
-/// In the largest unit without a loss.
+/// A time in the largest unit in which it is a whole number.
 fn time(ns: u64) -> String {
     match ns {
         _ if ns.is_multiple_of(1_000_000) => format!("{}ms", ns / 1_000_000),
@@ -343,13 +343,13 @@ fn time(ns: u64) -> String {
     }
 }
 
-/// To three digits that count.
+/// Rounds to three significant digits.
 fn rounded(ns: u64) -> u64 {
     let unit = 10_u64.pow(ns.max(100).ilog10().saturating_sub(2));
     (ns + unit / 2) / unit * unit
 }
 
-/// Up to two digits that count.
+/// Rounds up to two significant digits.
 fn rounded_up(ns: u64) -> u64 {
     let unit = 10_u64.pow(ns.max(1_000).ilog10().saturating_sub(1));
     ns.max(1).next_multiple_of(unit)
@@ -361,7 +361,7 @@ struct File {
 }
 
 impl File {
-    /// A line; `why` is why its value is a guess.
+    /// Writes a line; `why` is the reason why its value is a guess.
     fn guess(&mut self, line: &str, why: &str) {
         self.guesses += 1;
         let _ = writeln!(self.text, "{line:<28} # guess: {why}");
@@ -431,7 +431,7 @@ impl File {
         }
     }
 
-    /// Threads with several callbacks.
+    /// Writes the threads with several callbacks as groups. Returns the groups' names.
     fn groups(
         &mut self,
         recording: &Recording,
@@ -517,7 +517,7 @@ fn fifo(policy: Policy) -> Option<u8> {
     }
 }
 
-/// As callbacks name it: in the root namespace without the slash.
+/// The node's name as callbacks state it: without the slash if it is in the root namespace.
 fn node_name(node: &str) -> &str {
     node.strip_prefix('/').filter(|short| !short.contains('/')).unwrap_or(node)
 }

@@ -16,7 +16,7 @@ pub fn yaml(node: &str, parameters: &[(String, ParameterValue)]) -> String {
     format!("{}:\n  ros__parameters:{below}", string(node))
 }
 
-/// The same with dotted names.
+/// The parameters as JSON, with dotted names.
 pub fn json(node: &str, parameters: &[(String, ParameterValue)]) -> Value {
     let values: Map<_, _> = set(parameters).map(|(name, value)| (name.clone(), to_json(value))).collect();
     json!({ node: { "ros__parameters": values } })

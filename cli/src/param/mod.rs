@@ -332,7 +332,7 @@ impl Node {
         Ok(set)
     }
 
-    /// Suggests the parameter with the nearest name, if none has this name.
+    /// Fails if the node has no parameter of this name; the error suggests the nearest name.
     fn must_have(&mut self, name: &str) -> Outcome {
         let names = self.names()?;
         if names.iter().any(|there| there == name) {

@@ -192,7 +192,7 @@ pub fn wcet_exceeded(predicted: &CheckedCallback, seen: &Callback, used_ns: u64,
 
 pub fn period_not_kept(predicted: &CheckedCallback, distance_ns: u64, least_ns: u64) -> Mark {
     let fix = match predicted.entry.topics.first() {
-        // The jitter in the analysis, and the jitter that is missing there.
+        // The whole jitter: that of the analysis and what is missing there.
         Some(topic) => {
             let jitter = quoted(predicted.period_ns.saturating_sub(distance_ns));
             format!(
@@ -289,8 +289,8 @@ fn took(longest: &Longest) -> String {
     format!("the host took {}{more}", Time(taken_ns))
 }
 
-/// A note, not a violation: every response above the bound is within it if the time that was taken before its end is added. A job that
-/// took this time has a violation of its own.
+/// A note, not a violation: every response above the bound is within it if the time that was taken before its end is added to the bound. A
+/// job that took this time has a violation of its own.
 pub fn host_took(predicted: &CheckedCallback, share: &Share) -> String {
     let longest = share.longest.unwrap_or_default();
     let [by, rest] = match longest.overran_ns {
@@ -315,7 +315,7 @@ pub fn queue_over_capacity(predicted: &CheckedCallback, max_queue: u64, capacity
     mark("queue over capacity", text)
 }
 
-/// What is known of a timer of which only its publications are seen.
+/// A note on a timer of which only the publications are seen; `None` for other callbacks.
 pub fn published(predicted: &CheckedCallback, callback: &Callback) -> Option<String> {
     if !callback.is_by_publications {
         return None;
@@ -325,7 +325,7 @@ pub fn published(predicted: &CheckedCallback, callback: &Callback) -> Option<Str
         _ => String::new(),
     };
     let entry = &predicted.entry;
-    // A saved run may be of another file.
+    // If this is not the file of the saved run, the entry may publish nothing.
     let (name, topic) = (&entry.name, entry.publishes.first()?);
     Some(format!(
         "`{name}` is a timer, of which an RMW sees only what it publishes: {} messages on {topic}{distances}, of a period of {}; its response \

@@ -93,13 +93,13 @@ impl<'c> Host<'c> {
                     _ => taken,
                 };
                 let counts = |of: &&Moment| match of.kind {
-                    // It waits for no callback of the file.
+                    // The sampler waits for no callback of the file.
                     Kind::WokenLate | Kind::Waited => is_served,
                     // The file's overheads contain this time.
                     Kind::Served => false,
                     _ => true,
                 };
-                // A number that no callback uses.
+                // The sampler has number 0, which no callback uses.
                 let (thread, priority) = (thread_of(process, 0), process.sampler_priority);
                 let sight = |taken| Sight { taken: as_seen(taken), thread, priority };
                 note(core, &mut sampler.moments.iter().filter(counts).filter_map(Moment::taken).map(sight));

@@ -9,10 +9,10 @@ use tautline_executor::ExecutorSnapshot;
 use super::{ReportArgs, ReportError};
 use crate::table::{WARNING, wrap, write_table};
 
-/// What is added to the longest measured time, in percent.
+/// The margin that is added to the longest measured time, in percent.
 const MARGIN: u64 = 20;
 
-/// The executors of a process.
+/// An executor of a process.
 struct Measured {
     process: String,
     executor: ExecutorSnapshot,
@@ -62,7 +62,7 @@ pub fn report(args: &ReportArgs) -> Result<bool, ReportError> {
     Ok(true)
 }
 
-/// For each client library its name, the value for the file, and where the longest time was measured: with empty callbacks if it was there.
+/// For each client library its name, the value for the file, and the executor with the longest time, those with empty callbacks first.
 fn lines(found: &[Measured]) -> impl Iterator<Item = (&str, String, &ExecutorSnapshot)> {
     ["rclcpp", "rclpy"].into_iter().filter_map(|library| {
         let of = found.iter().map(|measured| &measured.executor).filter(|of| of.name == library);

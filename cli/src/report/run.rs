@@ -207,13 +207,13 @@ impl Run {
     }
 }
 
-/// The maximum number per callback; reading more each second would take long.
+/// The maximum number of moments per callback; reading more each second would take long.
 const MOST_MOMENTS: usize = 10_000;
 
 /// Puts earlier moments before the present ones. Both state the number of older ones.
 fn prepend((known, older_known): (&[Moment], u64), (latest, older): (&mut Vec<Moment>, &mut u64)) {
     let known_until = older_known + known.len() as u64;
-    // The present moments that were known before, and those that were missed.
+    // The number of present moments that were known before, and the number of moments that were missed.
     let again = usize::try_from(known_until.saturating_sub(*older)).unwrap_or(usize::MAX).min(latest.len());
     let missed = older.saturating_sub(known_until);
     let new = latest.split_off(again);
@@ -223,7 +223,7 @@ fn prepend((known, older_known): (&[Moment], u64), (latest, older): (&mut Vec<Mo
 }
 
 impl Process {
-    /// `now_ns`: `None` if it has ended.
+    /// `now_ns` is `None` if the process has ended.
     fn new(snapshot: &ProcessSnapshot, now_ns: Option<u64>) -> Process {
         let process = &snapshot.process;
         Process {
@@ -315,7 +315,7 @@ impl Callback {
     }
 }
 
-/// Periods in which it published nothing.
+/// The number of periods in which the timer published nothing.
 fn missing(of: &CallbackSnapshot) -> u64 {
     let Some(period_ns) = of.period_ns.filter(|_| of.releases > 0) else { return 0 };
     let time_ns = of.last_release_ns.saturating_sub(of.first_release_ns).saturating_add(period_ns / 2);

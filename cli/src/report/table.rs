@@ -60,7 +60,7 @@ pub fn write(comparison: &Comparison, run: &Run, out: &mut impl Write) -> io::Re
     verdict(comparison, run, out)
 }
 
-/// Where there are any.
+/// Writes the chains, if there are any.
 fn chains(comparison: &Comparison, with_host: bool, out: &mut impl Write) -> io::Result<()> {
     if comparison.chains.is_empty() {
         return Ok(());

@@ -76,7 +76,7 @@ impl Comparison {
         let hosts: BTreeSet<&str> = run.processes.iter().map(|process| process.host.as_str()).collect();
         let (here, elsewhere): (Vec<_>, Vec<_>) =
             checked.callbacks.iter().partition(|callback| hosts.contains(callback.host.as_str()));
-        // An RMW records takes, waits and publications.
+        // An RMW records takes, waits and publications, but no timers.
         let (unseen, seen): (Vec<_>, Vec<_>) = here.iter().partition(|callback| {
             is_timer_of_ros(callback)
                 && !callbacks(run, &callback.host).any(|(_, of)| of.name == callback.entry.name)
@@ -179,7 +179,7 @@ fn sampler_too_low(process: &Process) -> Option<Mark> {
         .then(|| explain::sampler_too_low(sampler, &highest.name, callback))
 }
 
-/// All callbacks of a host's processes, but for the sums over groups.
+/// All callbacks of a host's processes, except the sums over groups.
 fn callbacks<'r>(run: &'r Run, host: &'r str) -> impl Iterator<Item = (&'r Process, &'r Callback)> {
     run.processes
         .iter()
@@ -298,7 +298,7 @@ fn violations(
         };
         marks.push(explain::wcet_exceeded(predicted, seen, used_ns, times.max(1)));
     }
-    // A publication is after the release, by a response time at most.
+    // A publication follows its release by at most a response time.
     let late_ns = match seen.is_by_publications {
         true => predicted.response_overhead_ns.unwrap_or(u64::MAX),
         false => 0,
@@ -316,7 +316,7 @@ fn violations(
             marks.push(explain::rate_not_kept(predicted, seen.releases, most, window_ns));
         }
     }
-    // Of publications, the distance tells of a response of at least this length, unless a release was missed.
+    // A distance between publications implies a response of at least its excess over period and jitter, unless a release was missed.
     let beyond_period = seen.greatest_distance_ns.filter(|_| seen.is_by_publications && seen.lost == 0);
     let jitter_ns = predicted.releases.iter().map(|release| release.jitter_ns()).max().unwrap_or(0);
     let beyond_period = beyond_period

@@ -13,9 +13,9 @@ use crate::verb::End;
 /// Keeps files open, so that a process's statistics can be read after its end.
 pub struct ObservedProcesses {
     domain: u32,
-    /// Those with a system file.
+    /// Processes with a system file.
     processes: Vec<ForeignStatistics>,
-    /// Those without one.
+    /// The files of processes without a system file.
     others: BTreeSet<PathBuf>,
     killed: usize,
     /// The previous reading; processes keep only their latest moments.
@@ -99,7 +99,7 @@ impl ObservedProcesses {
         Ok(run)
     }
 
-    /// Prints which files were removed.
+    /// Prints how many processes were killed, or left without ending their contexts, if any.
     pub fn print_killed(&self) {
         if self.killed > 0 {
             eprintln!("Of the processes, {}.", killed_text(self.killed));

@@ -27,7 +27,7 @@ pub fn named<'g>(
     found.into_iter().map(|((name, type_name), ends)| Named { name, type_name, ends }).collect()
 }
 
-/// The type to call with: that of the servers. If the user named a type, it must be one of theirs.
+/// The type to call with: that of the servers. If the user named a type, it must be a type of a server.
 pub fn type_to_call(kind: &str, name: &str, all: &[Named], said: Option<String>) -> Outcome<String> {
     let served = all.iter().filter(|one| one.count(ServiceKind::Server) > 0);
     let types: Vec<&str> = served.clone().filter(|one| one.name == name).map(|one| one.type_name).collect();
@@ -84,7 +84,7 @@ impl Named<'_> {
             "servers": nodes(ServiceKind::Server),
             "clients": nodes(ServiceKind::Client),
         });
-        // An action's would be that of one of its services.
+        // The hash of an action would be that of one of its services.
         if kind == "service" {
             object["hash"] = json!(self.ends.iter().find_map(|end| end.type_hash.as_deref()));
         }

@@ -62,7 +62,7 @@ pub fn run(args: &EchoArgs, common: &CommonArgs) -> Outcome {
     let wanted = if args.once { Some(1) } else { args.count };
     let (mut printed, mut is_checked, mut left) = (0, false, None);
     while wanted.is_none_or(|wanted| printed < wanted) && left != Some(0) {
-        // Messages may come faster than they are printed: at the end only those that have come.
+        // Messages may come faster than they are printed, so at the end only those that are already waiting are printed.
         left = match left {
             None if end.is_reached() => Some(tap.waiting()),
             left => left.map(|left| left - 1),

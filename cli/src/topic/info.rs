@@ -74,7 +74,7 @@ impl<'g> Topic<'g> {
         })
     }
 
-    /// The nodes of a topic; with `verbose` also the QoS of each endpoint.
+    /// The endpoints of a topic, with the node and the QoS of each.
     pub fn info_json(&self) -> Value {
         let ends = |kind| self.of(kind).map(end_json).collect::<Value>();
         json!({
@@ -161,7 +161,7 @@ struct Words {
     liveliness: &'static str,
 }
 
-/// A duration in the format of ROS 2's tools.
+/// A QoS in the words of ROS 2's tools.
 fn words(qos: &Qos) -> Words {
     Words {
         reliability: match qos.reliability {

@@ -24,7 +24,7 @@ use tautline_transport::{EndpointKind, Gid, GraphSnapshot, Sent, Visitor};
 const SEEN_HZ: f64 = 400.0;
 /// The interval at which counts of faster publishers are read.
 const FAST_POLL: Duration = Duration::from_millis(50);
-/// So many messages are taken in a row: they may come faster than they are read.
+/// The maximum number of messages that are taken in a row, because they may come faster than they are read.
 const MOST_TAKEN: usize = 1000;
 /// The time that `--expect` measures by default, after a wait of at most as long for the topic.
 const EXPECT_TIME: Duration = Duration::from_secs(5);
@@ -81,7 +81,7 @@ struct Flow {
     unseen: u64,
     /// Sizes of the smallest and the largest message.
     sizes: Option<(u64, u64)>,
-    /// By gaps in sequence numbers; `None` if only counts are read.
+    /// Lost messages by gaps in sequence numbers; `None` if only counts are read.
     lost: Option<u64>,
     number: u64,
 }
@@ -92,21 +92,21 @@ impl Flow {
         Flow { label, pid, first, last: first, periods, unseen, sizes, lost, number }
     }
 
-    /// Counts from here on.
+    /// Restarts the counts.
     fn restart(&mut self) {
         self.first = self.last;
         self.periods.clear();
         (self.unseen, self.sizes, self.lost) = (0, None, self.lost.map(|_| 0));
     }
 
-    /// A later count.
-    fn see(&mut self, sent: Sent) {
+    /// Adds a later reading of the counters.
+    fn add(&mut self, sent: Sent) {
         let new = sent.messages.wrapping_sub(self.last.messages);
         if new == 0 || new > u64::MAX / 2 {
             return;
         }
         match new {
-            1 => self.see_one(sent.bytes.wrapping_sub(self.last.bytes), sent.last_ns),
+            1 => self.add_one(sent.bytes.wrapping_sub(self.last.bytes), sent.last_ns),
             _ => self.unseen += new,
         }
         if self.last.last_ns == 0 {
@@ -116,7 +116,7 @@ impl Flow {
         self.last = sent;
     }
 
-    fn see_one(&mut self, bytes: u64, at_ns: u64) {
+    fn add_one(&mut self, bytes: u64, at_ns: u64) {
         if self.last.last_ns != 0 {
             self.periods.record(at_ns.saturating_sub(self.last.last_ns));
         }
@@ -124,7 +124,7 @@ impl Flow {
         self.sizes = Some((least.min(bytes), most.max(bytes)));
     }
 
-    /// A message that was taken.
+    /// Adds a message that was taken.
     fn take(&mut self, number: u64, at_ns: u64, len_bytes: usize) {
         if self.number != 0 {
             let gap = number.saturating_sub(self.number + 1);
@@ -132,10 +132,10 @@ impl Flow {
         }
         self.number = number;
         let Sent { messages, bytes, .. } = self.last;
-        self.see(Sent { messages: messages + 1, bytes: bytes + len_bytes as u64, last_ns: at_ns });
+        self.add(Sent { messages: messages + 1, bytes: bytes + len_bytes as u64, last_ns: at_ns });
     }
 
-    /// Messages that the rate is made of.
+    /// The number of messages from which the rate is computed.
     fn messages(&self) -> u64 {
         self.last.messages.wrapping_sub(self.first.messages)
     }
@@ -185,7 +185,7 @@ struct Meter {
     domain: u32,
     topic: String,
     source: Source,
-    /// The time that messages are counted by; `None`: the system's.
+    /// The clock by which messages are counted; `None`: the system's.
     sim_clock: Option<SimClock>,
     flows: BTreeMap<Gid, Flow>,
 }
@@ -229,12 +229,12 @@ impl Meter {
                 for end in ends(&graph, topic).filter(|end| end.kind == EndpointKind::Publisher) {
                     let Some(mut sent) = visitor.sent(end)? else { continue };
                     if let Some(clock) = &self.sim_clock {
-                        // Of the last message before /clock the time is not known: 0, as before the first message.
+                        // The time of a message before /clock is not known: 0, as before the first message.
                         sent.last_ns = clock.at_monotonic(sent.last_ns).unwrap_or(0);
                     }
                     let flow = flows.entry(end.gid);
                     flow.or_insert_with(|| Flow::new(label(&graph, topic, end.gid), end.pid, sent, None))
-                        .see(sent);
+                        .add(sent);
                 }
                 let now_ns = tautline_rt::clock::monotonic_ns();
                 let is_fast = |flow: &Flow| flow.messages() > 100 && flow.hz(now_ns) > SEEN_HZ;
@@ -367,7 +367,7 @@ impl Meter {
     }
 }
 
-/// A node and its process, if it has one, or the publisher's identifier.
+/// The node's full name, followed by the GID if the node has several publishers of the topic; without a node, the GID.
 fn label(graph: &GraphSnapshot, topic: &str, gid: Gid) -> String {
     let end = ends(graph, topic).find(|end| end.gid == gid);
     let node = end.and_then(|end| end.node.as_ref()).map(|node| node.full_name());
@@ -452,7 +452,7 @@ mod tests {
     fn a_rate_is_of_messages_between_the_first_and_the_last() {
         let mut flow = Flow::new("x".into(), None, sent(7, 700, 1_000_000_000), None);
         for n in 1..=10 {
-            flow.see(sent(7 + n, 700 + 50 * n, 1_000_000_000 + n * 100_000_000));
+            flow.add(sent(7 + n, 700 + 50 * n, 1_000_000_000 + n * 100_000_000));
         }
         let now_ns = 2_050_000_000;
         assert!((flow.hz(now_ns) - 10.0).abs() < 1e-9);
@@ -467,9 +467,9 @@ mod tests {
     #[test]
     fn what_is_too_fast_has_a_rate_and_no_periods() {
         let mut flow = Flow::new("x".into(), None, Sent::default(), None);
-        flow.see(sent(1, 10, 5_000_000_000));
+        flow.add(sent(1, 10, 5_000_000_000));
         for n in 1..=10 {
-            flow.see(sent(1 + 50 * n, 10 + 500 * n, 5_000_000_000 + n * 1_000_000));
+            flow.add(sent(1 + 50 * n, 10 + 500 * n, 5_000_000_000 + n * 1_000_000));
         }
         assert!((flow.hz(5_010_000_001) - 50_000.0).abs() < 1e-6);
         assert!(flow.known_periods().is_none());

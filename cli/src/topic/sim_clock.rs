@@ -42,7 +42,7 @@ struct Reading {
 }
 
 impl Reading {
-    /// `None`: not a time.
+    /// The reading of a message; `None` if it contains no valid time.
     fn new(sample: &RawSample) -> Option<Self> {
         let body = sample.body();
         let sec = i32::from_le_bytes(body.get(..4)?.try_into().ok()?);
@@ -115,7 +115,7 @@ impl SimClock {
         self.readings.last_with(|reading| reading.wall_ns <= ns)
     }
 
-    /// Prints once that `/clock` differs from the system's clock, by which the verb measures: in its rate, or with `with_offset` in its time.
+    /// Prints once that `/clock` differs from the system's clock, by which the verb measures: in rate, or with `with_offset` also in time.
     pub fn warn(&mut self, with_offset: bool) {
         if self.is_reported {
             return;

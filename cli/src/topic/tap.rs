@@ -25,7 +25,7 @@ pub struct Tap {
     participant: Participant,
     topic_type: TopicType,
     subscription: RawSubscription,
-    /// There are publishers on other hosts, for which the subscription is an ordinary one.
+    /// Whether there are publishers on other hosts, for which the subscription is an ordinary one.
     is_seen: bool,
     epoch: u32,
     refreshed: Instant,
@@ -95,7 +95,7 @@ impl Tap {
         }
     }
 
-    /// How many messages have come that can still be taken.
+    /// The number of messages that have arrived and can still be taken.
     pub fn waiting(&self) -> u64 {
         self.subscription.waiting().min(self.subscription.qos().depth as u64)
     }

@@ -12,7 +12,7 @@ use tautline_trace::{EventKind, ObjectId};
 /// The length of a publication's slice: arrows begin only at slices. It is shorter if the thread's next event is earlier.
 const PUBLISH_NS: u64 = 1_000;
 
-/// Writes all of it, an event per line.
+/// Writes the whole recording, an event per line.
 pub fn write(recording: &Recording, to: &mut dyn Write) -> io::Result<()> {
     let zero_ns = recording.events.first().map_or(0, |timed| timed.event.time_ns);
     let mut events = Vec::new();

@@ -139,7 +139,7 @@ fn add(recording: &mut Recording, entry: Entry) {
             (of.pid, of.name) = (pid, name);
         }
         Entry::Object { process, id, kind, parent, detail, gid, created_ns, name } => {
-            // Of a later version: its events have no name.
+            // The object is of a later version; its events have no name.
             let Some(kind) = ObjectKind::from_name(&kind) else { return };
             let (id, parent) = (ObjectId(id), ObjectId(parent));
             let object = Description { id, kind, parent, detail, gid, created_ns, name };
@@ -160,7 +160,7 @@ fn add(recording: &mut Recording, entry: Entry) {
     }
 }
 
-/// Numbers in a file are untrusted.
+/// Adds without overflow, because numbers in a file are untrusted.
 fn increase(count: &mut u64, by: u64) {
     *count = count.saturating_add(by);
 }

@@ -37,7 +37,7 @@ pub struct HopsArgs {
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct RowKey<'r> {
     topic: &'r str,
-    /// Whole ways come last.
+    /// Whole paths come last.
     is_whole: bool,
     domains_before: usize,
     kind: HopKind,
@@ -85,7 +85,7 @@ fn warnings(files: &[PathBuf], recordings: &[Recording]) -> impl Iterator<Item =
     files.iter().zip(recordings).flat_map(of_file)
 }
 
-/// The domain, the host's name and its clock's.
+/// The domain, the host's name and the identifier of its clock.
 fn session(recording: &Recording) -> (Option<u32>, &str, &str) {
     match &recording.session {
         Some(Entry::Session { domain, host, clock, .. }) => (Some(*domain), host, clock),
@@ -93,7 +93,7 @@ fn session(recording: &Recording) -> (Option<u32>, &str, &str) {
     }
 }
 
-/// For each recording the first one that has its clock.
+/// For each recording the index of the first recording with the same clock.
 fn clocks(recordings: &[Recording]) -> Vec<usize> {
     let clock = |recording| session(recording).2;
     let first = |(index, of)| {
@@ -108,7 +108,7 @@ fn clocks(recordings: &[Recording]) -> Vec<usize> {
 fn hops(recordings: &[Recording]) -> Hops<'_> {
     let clocks = clocks(recordings);
     let is_one_clock = |a: Place, b: Place| clocks.get(a.recording) == clocks.get(b.recording);
-    // A time between two clocks is unknown.
+    // Times of different clocks cannot be compared.
     let is_before = |a: At, b: At| !is_one_clock(a.place, b.place) || a.time_ns <= b.time_ns;
     let mut hops = Hops { rows: BTreeMap::new(), unmatched: BTreeMap::new() };
     Ways::of(recordings).hops(&is_before, &mut |hop: Hop<'_>| {
@@ -128,7 +128,7 @@ fn hops(recordings: &[Recording]) -> Hops<'_> {
         row.n += 1;
         match to.time_ns.checked_sub(from.time_ns) {
             _ if row.clocks_differ => {}
-            // An error would mean that the histogram cannot grow to 64 bits, and it can.
+            // This cannot fail, because the histogram grows to 64 bits.
             Some(latency_ns) => drop(row.latency.record(latency_ns)),
             None => row.reversed += 1,
         }
@@ -217,7 +217,7 @@ fn process(recordings: &[Recording], place: Place) -> String {
     process.map_or_else(|| "?".to_owned(), |process| format!("{} ({})", process.name, process.pid))
 }
 
-/// One process, two of a domain, or of two domains; the hosts, if there are several.
+/// The process, or the two processes, with the domain or the two domains; with the hosts if there are several.
 fn places(recordings: &[Recording], from: Place, to: Place) -> String {
     let host = |recording: &Recording| session(recording).1.to_owned();
     let are_hosts = recordings.iter().any(|other| Some(host(other)) != recordings.first().map(host));

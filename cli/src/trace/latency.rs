@@ -40,7 +40,7 @@ struct Row {
     duration: Histogram<u64>,
     /// Runs whose message has no publication in the recording.
     unmatched: u64,
-    /// `None` also if events were lost, so that the publication is unknown.
+    /// `None` also if it is not known what was taken: see [`messages_lost`].
     messages_lost: Option<u64>,
 }
 
@@ -57,14 +57,14 @@ pub fn run(args: &LatencyArgs, json: bool) -> Result<ExitCode, TraceError> {
 }
 
 pub fn histogram() -> Histogram<u64> {
-    // Grows as needed; three significant digits are a valid number of them.
+    // The histogram grows as needed; three is a valid number of significant digits.
     Histogram::new(3).expect("3 is between 0 and 5")
 }
 
-/// Durations without an end are omitted.
+/// Records a duration; a duration without an end is omitted.
 fn record(to: &mut Histogram<u64>, since_ns: u64, until_ns: Option<u64>) {
     if let Some(until_ns) = until_ns {
-        // An error would mean that the histogram cannot grow to 64 bits, and it can.
+        // This cannot fail, because the histogram grows to 64 bits.
         let _ = to.record(until_ns.saturating_sub(since_ns));
     }
 }

@@ -28,7 +28,7 @@ pub struct Run {
     pub start_ns: u64,
     /// `None` if the recording ended before.
     pub end_ns: Option<u64>,
-    /// Of its message or tick.
+    /// The release of the message or of the timer's tick.
     pub release_ns: u64,
     /// The processor time that it used, if it has ended and that was measured.
     pub used_ns: Option<u64>,
@@ -47,15 +47,15 @@ pub fn publications(recording: &Recording) -> HashMap<MessageKey, Publication> {
     published.map(|timed| (key(timed.event.arguments), place(timed))).collect()
 }
 
-/// The message that a `publish` or `take` event speaks of.
+/// The message of a `publish` or `take` event.
 pub fn key([sequence_number, _, publisher]: [u64; 3]) -> MessageKey {
     MessageKey { publisher, sequence_number }
 }
 
 /// Every run of every callback, in order of their starts.
 ///
-/// A run ends at its callback's end, or earlier where another callback starts in its thread: a stream learns only when it is
-/// next polled that its item has been dealt with, and that may be after the thread's other streams.
+/// A run ends at its callback's end, or earlier if another callback starts in its thread: a stream learns only when it is
+/// polled next that its item has been processed, and that may be after the thread's other streams.
 ///
 /// A callback's message is the one that its subscription took last in the same thread, before the start: a stream takes one
 /// message at a time, and a group keeps one per member.
@@ -89,7 +89,7 @@ pub fn runs(recording: &Recording) -> Vec<Run> {
                 });
             }
             EventKind::CallbackEnd => {
-                // Not the running one's: of one that another has ended.
+                // An event of another callback than the running one belongs to a run that the next start has already ended.
                 let running = open.get(&(process, tid)).and_then(|index| runs.get_mut(*index));
                 if let Some(run) = running.filter(|run| run.callback == event.object) {
                     run.end_ns = Some(event.time_ns);
@@ -103,9 +103,9 @@ pub fn runs(recording: &Recording) -> Vec<Run> {
     runs
 }
 
-/// For each subscription: messages missing in the sequence numbers of what it took from each publisher. Before the first
-/// one it took, those that were published since it was made and since its process has been recorded. None for a process of
-/// which events were lost: what it took is not known then.
+/// For each subscription, the number of messages that are missing in the sequence numbers that it took from each publisher. Before its
+/// first take these are the messages that were published after it was created and after its process began to record. Processes of which
+/// events were lost are left out, because it is not known what their subscriptions took.
 pub fn messages_lost(recording: &Recording) -> HashMap<(u32, ObjectId), u64> {
     let mut published: HashMap<u64, Vec<(u64, u64)>> = HashMap::new();
     let mut last: HashMap<(u32, ObjectId, u64), u64> = HashMap::new();

@@ -57,7 +57,7 @@ pub fn run(args: &RecordArgs, common: &CommonArgs) -> Result<ExitCode, TraceErro
     Ok(ExitCode::SUCCESS)
 }
 
-/// Records a domain into a file, and prints `begun` when it begins; what was recorded, and how long.
+/// Records a domain into a file, and prints `begun` when it begins. Returns what was recorded, and for how long.
 ///
 /// # Errors
 /// Another recorder records the domain, or the file cannot be written.

@@ -82,7 +82,7 @@ pub struct Process {
     pub lost: HashMap<u32, u64>,
     pub unrecorded: u64,
     pub undescribed: u64,
-    /// Before the recording did.
+    /// Whether the process ended before the recording did.
     pub has_ended: bool,
 }
 

@@ -218,7 +218,7 @@ impl Gatherer {
                 EndpointKind::Publisher => {
                     row.publishers += 1;
                     let lost = self.visitor.overwritten(end)?;
-                    // What an observer misses is no loss.
+                    // Messages that an observer misses are not lost.
                     let lost = lost.iter().filter(|(gid, _)| subscriptions.contains(gid));
                     let lost = lost.fold(0, |sum: u64, (_, count)| sum.saturating_add(*count));
                     let Some(rate) = rates.get(&end.gid) else { continue };

@@ -11,14 +11,14 @@ use super::histogram::{HISTOGRAM_WORDS, Histogram, HistogramSnapshot};
 use super::inputs::{INPUT_WORDS, Inputs, SizeClass};
 use super::moments::{MOMENT_WORDS, Moment, Moments};
 
-/// Counters and settings, then the name; then two histograms, the moments, and the classes of input sizes.
+/// The head: counters and settings, then the name. Two histograms, the moments and the classes of input sizes follow.
 pub(crate) const HEAD_WORDS: usize = 64;
 const MOMENTS_AT: usize = HEAD_WORDS + 2 * HISTOGRAM_WORDS;
 const INPUTS_AT: usize = MOMENTS_AT + MOMENT_WORDS;
 pub(crate) const BLOCK_WORDS: usize = INPUTS_AT + INPUT_WORDS;
 const NAME_WORDS: usize = 32;
 
-/// What each word of the head is. Zeros are a callback that has done nothing.
+/// Indices of the head's words. A head of zeros is a callback that has done nothing.
 pub(crate) mod word {
     pub const STATE: usize = 0;
     /// See [`kind`](super::kind).
@@ -57,11 +57,11 @@ pub(crate) mod kind {
     pub const CALLBACK: u64 = 0;
     pub const GROUP: u64 = 1;
     pub const SAMPLER: u64 = 2;
-    /// What an executor of another library uses besides callbacks.
+    /// The overhead of another library's executor.
     pub const EXECUTOR: u64 = 3;
-    /// As [`EXECUTOR`], of callbacks that do nothing.
+    /// As [`EXECUTOR`], with callbacks that do nothing.
     pub const EXECUTOR_ALONE: u64 = 4;
-    /// A callback of which only its publications are seen.
+    /// A callback of which only the publications are observed.
     pub const PUBLICATIONS: u64 = 5;
 }
 
@@ -131,14 +131,14 @@ impl Block {
         let mut cores = thread.cores.iter();
         let core = cores.next().filter(|_| cores.next().is_none());
         self.set(word::CORE, core.map_or(0, |core| core as u64 + 1));
-        // Last, and before the others in the file: who reads the number reads what is known of its thread. Release: pairs
-        // with the Acquire of whoever reads the file.
+        // Written last, and before the others in the file: a reader of the id also reads the thread's other properties. Release: pairs
+        // with the Acquire of readers of the file.
         self.words[word::TID].store(u64::from(thread.tid), Ordering::Release);
     }
 
     /// Marks the words as valid. Call it after everything else was set.
     pub fn set_state(&self, state: u64) {
-        // Release: pairs with the Acquire of whoever reads the file.
+        // Release: pairs with the Acquire of readers of the file.
         self.words[word::STATE].store(state, Ordering::Release);
     }
 
@@ -156,11 +156,11 @@ pub struct CallbackSnapshot {
     pub name: String,
     /// Whether this is a whole group: the jobs of all its members together.
     pub is_group: bool,
-    /// Whether only its publications are seen, such as of a timer of ROS's: they are counted as its jobs, and released when they are sent.
+    /// Whether only its publications are observed, such as those of a ROS timer: each counts as a job that is released when it is sent.
     pub is_by_publications: bool,
     /// Whether its future has ended.
     pub ended: bool,
-    /// Its thread's id in the kernel; 0 during start, when neither priority nor core is known.
+    /// Its thread's id in the kernel; 0 before it is known: then priority and core are unknown, too, or those that are intended.
     pub tid: u32,
     /// The real-time priority that the kernel confirmed; `None` for time-sharing.
     pub priority: Option<u8>,
@@ -216,7 +216,7 @@ pub struct CallbackSnapshot {
 }
 
 impl CallbackSnapshot {
-    /// Of words that another process may have written: whatever they hold.
+    /// Reads words that another process may have written; accepts any content.
     pub(crate) fn of_words(words: &[u64]) -> CallbackSnapshot {
         let word = |index: usize| words.get(index).copied().unwrap_or(0);
         let some = |value: u64| (value != 0).then_some(value);
@@ -275,7 +275,7 @@ pub(crate) fn put_text(words: &[AtomicU64], text: &str) {
     length.store(text.len() as u64, Ordering::Relaxed);
 }
 
-/// Reads a text as [`put_text`] wrote it; what is no text comes out as something else.
+/// Reads a text that [`put_text`] wrote; of other words the result is any text.
 pub(crate) fn get_text(words: &[u64]) -> String {
     let Some((length, rest)) = words.split_first() else { return String::new() };
     let mut bytes: Vec<u8> = rest.iter().flat_map(|word| word.to_le_bytes()).collect();

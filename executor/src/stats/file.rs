@@ -12,11 +12,11 @@ use super::HistogramSnapshot;
 use super::block::{BLOCK_WORDS, Block, CallbackSnapshot, get_text, kind, put_text, state, word};
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautstat");
-/// Of the layout here and in `block.rs`.
+/// The version of the layout here and in `block.rs`.
 const VERSION: u64 = 9;
 const HEADER_WORDS: usize = 864;
 
-/// What each word of the header is.
+/// Indices of the header's words.
 mod header {
     use std::ops::Range;
 
@@ -31,15 +31,15 @@ mod header {
     pub const STEAL_TICKS: usize = 8;
     /// 0: not checked; 1: admitted; 2: admitted by force, with the reason.
     pub const ADMITTED: usize = 9;
-    // What others ask of the process: written by them.
+    // Orders to the process, written by other processes.
     /// A new number for each order; 0: none yet.
     pub const ORDER: usize = 10;
     /// The hash of the system file's text for this order.
     pub const ORDER_HASH: usize = 11;
     /// 1: check whether it can be done; 2: do it.
     pub const ORDER_KIND: usize = 12;
-    // What the process answers.
-    /// The order.
+    // The answer of the process.
+    /// The number of the answered order.
     pub const ANSWER: usize = 13;
     /// 0: done; 1: refused.
     pub const ANSWER_KIND: usize = 14;
@@ -158,7 +158,7 @@ impl StatisticsFile {
         put_text(&header[header::STANDS_IN], &about.stands_in);
         put_text(&header[header::SYSTEM_PATH], &about.system_path.to_string_lossy());
         put_admitted(&header, &about.admitted);
-        // Release: pairs with the Acquire in `ForeignWords::read`; all else is there when the magic is.
+        // Release: pairs with the Acquire in `ForeignWords::read`; all other words are visible when the magic is.
         header[header::MAGIC].store(MAGIC, Ordering::Release);
         Ok(StatisticsFile { places: Arc::new(Places { file, header, free: Mutex::default() }) })
     }
@@ -196,7 +196,7 @@ impl StatisticsFile {
         let index = free.last().copied().unwrap_or(next as usize);
         let words = places.file.map(place(index, page_words()), BLOCK_WORDS)?;
         match free.pop() {
-            // Whoever had it before may have left something.
+            // The former callback's values are still there.
             Some(_) => words.iter().for_each(|word| word.store(0, Ordering::Relaxed)),
             // Release: pairs with the Acquire in `ForeignWords::read`; the file has grown by then.
             None => count.store(next + 1, Ordering::Release),
@@ -234,7 +234,7 @@ impl Orders {
         is_new.then_some(Order { number, system_hash, is_final })
     }
 
-    /// Answers it: with the reason why it cannot be done, or with success.
+    /// Answers the order: with the reason why it cannot be done, or with success.
     pub fn answer(&self, order: &Order, answer: Result<(), String>) {
         let header = &self.places.header;
         let set = |index: usize, value: u64| header[index].store(value, Ordering::Relaxed);
@@ -249,7 +249,7 @@ impl Orders {
 }
 
 impl Drop for StatisticsFile {
-    /// Statistics that somebody still holds stay readable to them.
+    /// Removes the file; existing mappings keep the statistics.
     fn drop(&mut self) {
         self.places.file.retire();
     }
@@ -264,7 +264,7 @@ fn put_admitted(header: &Words, admitted: &Admitted) {
             2
         }
     };
-    // Release: pairs with the Acquire in `ForeignWords::read`; the text is there when the number is.
+    // Release: pairs with the Acquire in `ForeignWords::read`; the text is visible when the number is.
     header[header::ADMITTED].store(number, Ordering::Release);
 }
 
@@ -274,7 +274,7 @@ fn place(index: usize, page_words: usize) -> usize {
 }
 
 impl Drop for StatsSlot {
-    /// What the callback did can be read until the place is another's.
+    /// Releases the place. The callback's statistics can be read until another callback claims it.
     fn drop(&mut self) {
         self.places.free.lock().unwrap_or_else(PoisonError::into_inner).push(self.index);
     }
@@ -309,7 +309,7 @@ pub struct ExecutorSnapshot {
     pub is_alone: bool,
     /// Processor time that it used for each callback.
     pub overhead: HistogramSnapshot,
-    /// Processor time of the callbacks, as far as they are told apart.
+    /// Processor time of the callbacks, as far as it is separate from the overhead.
     pub callbacks: HistogramSnapshot,
 }
 
@@ -360,7 +360,7 @@ impl ForeignStatistics {
         if words[header::ANSWER] != number {
             return Ok(None);
         }
-        // Read after the number was: the text is there when the number is.
+        // Read again after the number, so that the text is visible.
         let words = self.file.read(0, HEADER_WORDS)?;
         Ok(Some(match words[header::ANSWER_KIND] {
             0 => Ok(()),
@@ -377,7 +377,7 @@ impl ForeignStatistics {
     /// starting.
     ///
     /// # Errors
-    /// What the system said, with the path; an error for a file of another version of Tautline.
+    /// The system's error, with the path; an error for a file of another version of Tautline.
     pub fn read(&self) -> io::Result<Option<ProcessSnapshot>> {
         if self.file.size_words()? < HEADER_WORDS {
             return Ok(None);
@@ -410,7 +410,7 @@ impl ForeignStatistics {
                 _ => Admitted::Forced(get_text(&words[header::FORCED])),
             },
         };
-        // As many as fit into the file, whatever it says.
+        // At most as many as fit into the file, whatever number it states.
         let size_words = self.file.size_words()?;
         let page_words = page_words();
         let there = (0..words[header::PLACES])

@@ -14,7 +14,7 @@ pub(crate) const SUB_BITS: u32 = 7;
 /// Up to 2^38 ns, 274 s.
 pub(crate) const BUCKETS: usize = (38 - SUB_BITS as usize + 1) * SUB_BUCKETS;
 
-/// Words of a histogram: the buckets, then the sum and the maximum. Whoever reads in this order sees a maximum that covers
+/// Words of a histogram: the buckets, then the sum and the maximum. A reader that reads them in this order sees a maximum that covers
 /// every value counted.
 pub(crate) const HISTOGRAM_WORDS: usize = 2 + BUCKETS;
 
@@ -103,7 +103,7 @@ pub struct Bucket {
 }
 
 impl HistogramSnapshot {
-    /// Of a histogram's words, which another process may have written: whatever they hold.
+    /// Reads a histogram's words, which another process may have written; accepts any content.
     pub(crate) fn of_words(words: &[u64]) -> HistogramSnapshot {
         let (counts, sum_ns, max_ns) = match words {
             [counts @ .., sum, max] => (counts, *sum, *max),

@@ -24,7 +24,7 @@ impl Histogram {
         }
         add(sum, ns);
         if let Some(bucket) = buckets.get(bucket_of(ns)) {
-            // Release: whoever sees the count sees the maximum, too.
+            // Release: a reader that sees the count also sees the maximum.
             bucket.store(bucket.load(Ordering::Relaxed) + 1, Ordering::Release);
         }
     }
@@ -45,7 +45,7 @@ pub(super) fn note(words: &[impl Word], moment: &Moment) {
     let [written, entries @ .., begun] = words else { return };
     let number = written.load(Ordering::Relaxed);
     begun.store(number + 1, Ordering::Relaxed);
-    // Whoever sees a word of the entry sees that it was begun: pairs with the Acquire of the reader.
+    // A reader that sees a word of the entry sees that it was begun: pairs with the Acquire of the reader.
     fence(Ordering::Release);
     let at = (number % moments::CAPACITY as u64) as usize * moments::ENTRY_WORDS;
     let length = moments::encode(moment.kind, moment.length_ns);
@@ -54,7 +54,7 @@ pub(super) fn note(words: &[impl Word], moment: &Moment) {
             word.store(value, Ordering::Relaxed);
         }
     }
-    // Release: the entry is whole when the count is seen.
+    // Release: the entry is complete when the count is visible.
     written.store(number + 1, Ordering::Release);
 }
 
@@ -69,7 +69,7 @@ impl Inputs {
         let mut nearest = None;
         for row in self.rows() {
             let [jobs, least, greatest, ..] = row;
-            // Of a row with sizes of this class, and of one that is free, nothing.
+            // The distance is 0 to a row with sizes of this class, and to a free row.
             let distance = match load(jobs) {
                 0 => 0,
                 _ => load(least).saturating_sub(high).max(low.saturating_sub(load(greatest))),
@@ -96,7 +96,7 @@ impl Inputs {
         if let Some(shortest) = longest.iter().min_by_key(|word| load(word)).filter(|word| ns > load(word)) {
             shortest.store(ns, Ordering::Relaxed);
         }
-        // Release: whoever sees the count sees sizes and a maximum that cover the job.
+        // Release: a reader that sees the count sees sizes and a maximum that cover the job.
         jobs.store(before.wrapping_add(1), Ordering::Release);
     }
 }
@@ -113,7 +113,7 @@ impl CallbackStats {
         response_ns > self.limit_ns(CallbackStats::BOUND)
     }
 
-    /// A limit, or a time that nothing exceeds.
+    /// Returns a limit; `u64::MAX` if it is not set.
     fn limit_ns(&self, index: usize) -> u64 {
         match self.limits.get(index).map(|limit| limit.load(Ordering::Relaxed)) {
             Some(0) | None => u64::MAX,
@@ -121,12 +121,12 @@ impl CallbackStats {
         }
     }
 
-    /// A job begins.
+    /// Records the start of a job.
     pub(crate) fn release(&self, release_ns: u64) {
         self.release_after(1, release_ns);
     }
 
-    /// A job begins. Its distance from the one before counts after so many releases.
+    /// Records the start of a job. The distance to the previous release is recorded only after `uneven` releases.
     pub(crate) fn release_after(&self, uneven: u64, release_ns: u64) {
         let Some(head) = self.head() else { return };
         let last = &head[word::LAST_RELEASE];
@@ -153,7 +153,7 @@ impl CallbackStats {
         add(&head[word::RELEASES], 1);
     }
 
-    /// A job has ended. Says what it violated.
+    /// Records the end of a job; returns the limits that it violated.
     pub(crate) fn complete(&self, job: &Job) -> Violations {
         let Some(block) = self.block.get() else { return Violations::default() };
         let Some(head) = block.head() else { return Violations::default() };
@@ -186,7 +186,7 @@ impl CallbackStats {
         violations
     }
 
-    /// A job that is seen only by what it published. Its distance counts as in [`release_after`](Self::release_after).
+    /// Records a job of which only the publication is observed. Its distance counts as in [`release_after`](Self::release_after).
     pub(crate) fn publish(&self, uneven: u64, now_ns: u64) {
         self.release_after(uneven, now_ns);
         if let Some(head) = self.head() {
@@ -200,7 +200,7 @@ impl CallbackStats {
         }
     }
 
-    /// What a subscription of this callback found.
+    /// Records the state of the queue that a subscription of this callback found.
     pub(crate) fn note_queue(&self, queue: QueueState) {
         let Some(head) = self.head() else { return };
         if queue.lost != 0 {
@@ -216,7 +216,7 @@ impl CallbackStats {
     }
 }
 
-/// What a job violated.
+/// The limits that a job violated.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Violations {
     job: u64,
@@ -227,7 +227,7 @@ pub(crate) struct Violations {
 }
 
 impl Watch {
-    /// Calls the handlers of what was violated; says whether one was called.
+    /// Calls the handlers for the violated limits; returns whether one was called.
     pub(crate) fn call_handlers(&self, violations: Violations, done: &Job) -> bool {
         let Job { release_ns, response_ns, execution_ns, .. } = *done;
         let job = violations.job;

@@ -6,12 +6,12 @@ use std::sync::atomic::AtomicU64;
 
 use tautline_rt::Words;
 
-/// How many classes of sizes are kept apart.
+/// The maximum number of size classes.
 pub(crate) const CLASSES: usize = 32;
-/// How many of a class's longest execution times are kept, for the estimate of longer ones.
+/// The number of a class's longest execution times that are kept, for the estimate of longer ones.
 pub(crate) const LONGEST: usize = 64;
-/// Of one class: its jobs, the least and the greatest size, the maximum and its size, the longest execution times. Whoever reads in this order sees
-/// sizes and a maximum that cover all jobs counted.
+/// The words of one class: its jobs, the least and the greatest size, the maximum and its size, the longest execution times. A reader that
+/// reads in this order sees sizes and a maximum that cover all jobs counted.
 pub(crate) const CLASS_WORDS: usize = 5 + LONGEST;
 pub(crate) const INPUT_WORDS: usize = CLASSES * CLASS_WORDS;
 
@@ -70,7 +70,7 @@ impl Inputs {
             if jobs == 0 || least > greatest {
                 return None;
             }
-            // Empty places are 0; of a job that is being recorded, the time may be there before it is counted.
+            // Empty places are 0. The time of a job that is being recorded may be visible before the job is counted.
             let mut longest_ns: Vec<u64> =
                 longest.into_iter().filter(|ns| (1..=max_ns).contains(ns)).collect();
             longest_ns.sort_unstable();

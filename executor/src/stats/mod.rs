@@ -59,7 +59,7 @@ pub struct CallbackStats {
     block: OnceLock<Block>,
 }
 
-/// What [`CallbackStats::response`] is before there is anything.
+/// The histogram that [`CallbackStats::response`] returns before the callback is spawned.
 static NOTHING: LazyLock<Histogram> = LazyLock::new(Histogram::new);
 
 impl CallbackStats {
@@ -67,12 +67,12 @@ impl CallbackStats {
     const BUDGET: usize = 1;
     const BOUND: usize = 2;
 
-    /// Statistics of nothing yet.
+    /// Empty statistics, without memory until `place` is called.
     pub(crate) fn new(name: impl Into<String>) -> CallbackStats {
         CallbackStats { name: name.into(), limits: Default::default(), block: OnceLock::new() }
     }
 
-    /// Gives the statistics their memory: all is counted from here on.
+    /// Allocates the memory of the statistics: jobs are counted from now on.
     pub(crate) fn place(&self, file: Option<&StatisticsFile>, kind: u64) -> std::io::Result<()> {
         let block = match file {
             Some(file) => file.claim()?,
@@ -91,13 +91,13 @@ impl CallbackStats {
         Ok(())
     }
 
-    /// What the kernel confirmed, and what the callback was given.
+    /// Records the thread that the kernel confirmed, and the settings of the callback.
     pub(crate) fn describe(&self, thread: &ThreadInfo, period: Option<Duration>, measures_execution: bool) {
         self.describe_jobs(period, measures_execution);
         self.set_thread(thread);
     }
 
-    /// What the callback was given.
+    /// Records the settings of the callback.
     pub(crate) fn describe_jobs(&self, period: Option<Duration>, measures_execution: bool) {
         if let Some(block) = self.block.get() {
             block.set(word::PERIOD, nanoseconds(period));
@@ -105,33 +105,33 @@ impl CallbackStats {
         }
     }
 
-    /// Another priority than its thread had at first.
+    /// Records the changed priority of the thread.
     pub(crate) fn describe_priority(&self, policy: Policy) {
         if let Some(block) = self.block.get() {
             block.set(word::PRIORITY, policy.realtime_priority().map_or(0, u64::from));
         }
     }
 
-    /// What was taken from its core is noted from here on.
+    /// Records that time taken from the core is accounted for from now on.
     pub(crate) fn describe_account(&self) {
         if let Some(block) = self.block.get() {
             block.set(word::ACCOUNTS, 1);
         }
     }
 
-    /// What the kernel says of the thread that runs it.
+    /// Records the thread that runs the callback, as the kernel reports it.
     pub(crate) fn set_thread(&self, thread: &ThreadInfo) {
         if let Some(block) = self.block.get() {
             block.set_thread(thread);
         }
     }
 
-    /// The number of that thread; 0 before.
+    /// The id of the thread that runs the callback; 0 before it is known.
     pub(crate) fn tid(&self) -> u32 {
         u32::try_from(self.word(word::TID)).unwrap_or(0)
     }
 
-    /// The callback's future has ended.
+    /// Records that the callback's future has ended.
     pub(crate) fn end(&self) {
         if let Some(block) = self.block.get() {
             block.set_state(state::ENDED);
@@ -156,7 +156,7 @@ impl CallbackStats {
         self.word(word::RELEASES)
     }
 
-    /// Jobs finished: at most one less than started, except after a job that was stopped before its end.
+    /// Jobs finished; not those that run, of which overlapping streams have one each, and those that were stopped before their end.
     pub fn completions(&self) -> u64 {
         self.word(word::COMPLETIONS)
     }

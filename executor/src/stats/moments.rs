@@ -6,18 +6,18 @@ use std::sync::atomic::AtomicU64;
 
 use tautline_rt::Words;
 
-/// How many are kept.
+/// The number of moments that are kept.
 pub(crate) const CAPACITY: usize = if cfg!(taut_loom) { 2 } else { 128 };
-/// Of one: its begin, its end, and its length with its kind.
+/// The words of one moment: its begin, its end, and its length with its kind.
 pub(crate) const ENTRY_WORDS: usize = 3;
-/// How many have been written, the entries, how many were begun: whoever reads in this order sees which entries were overwritten
-/// meanwhile.
+/// The number of moments written, the entries, the number of moments begun: a reader that reads in this order sees which entries were
+/// overwritten meanwhile.
 pub(crate) const MOMENT_WORDS: usize = 2 + CAPACITY * ENTRY_WORDS;
 
 /// Something that took time on a callback's core.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Moment {
-    /// What it was.
+    /// Its kind.
     pub kind: MomentKind,
     /// It lies after this time, in `CLOCK_MONOTONIC` ns.
     pub from_ns: u64,

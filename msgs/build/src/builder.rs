@@ -10,7 +10,7 @@ use tautline_schema::{Base, Packages};
 use crate::folder::Folder;
 use crate::{Error, bundled};
 
-/// What `include_packages!` includes from `OUT_DIR`.
+/// The file that `include_packages!` includes from `OUT_DIR`.
 const FILE: &str = "tautline_packages.rs";
 
 /// Generates all packages of a folder, or the package that the folder is: a [`Builder`] with all other
@@ -181,7 +181,7 @@ fn watch_installed<'a>(names: impl Iterator<Item = &'a String>) {
     }
 }
 
-/// These packages and all whose types they need, except for those that are elsewhere.
+/// These packages and all whose types they need, without the external ones.
 fn with_needed(
     packages: &mut Packages,
     wanted: BTreeSet<String>,

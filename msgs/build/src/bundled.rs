@@ -7,7 +7,7 @@ use tautline_schema::{Packages, SchemaError, TypeName};
 
 include!(concat!(env!("OUT_DIR"), "/definitions.rs"));
 
-/// Their names.
+/// The names of the packages.
 pub fn packages() -> BTreeSet<&'static str> {
     DEFINITIONS.iter().filter_map(|(name, _)| name.split('/').next()).collect()
 }

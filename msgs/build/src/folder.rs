@@ -19,7 +19,7 @@ pub struct Folder {
 }
 
 impl Folder {
-    /// Finds out what the folder is.
+    /// Opens a folder, and finds out whether it is a package.
     pub fn open(path: &Path) -> Result<Self, Error> {
         let path = fs::canonicalize(path).map_err(|source| Error::Io { path: path.to_owned(), source })?;
         let manifest = path.join("package.xml");

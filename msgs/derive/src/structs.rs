@@ -63,7 +63,7 @@ pub fn expand(
 }
 
 /// The same type with parentheses where a macro of the user's passed a part of an array's length, `$kib * 1024` say: the
-/// invisible ones that are there are lost on the way back to the compiler.
+/// invisible parentheses that are there are lost on the way back to the compiler.
 fn parenthesised(ty: &Type) -> Type {
     match ty {
         Type::Array(array) => {
@@ -128,7 +128,7 @@ fn named_fields<'a>(name: &Ident, data: &'a DataStruct) -> Result<Vec<&'a Field>
     }
 }
 
-/// Refuses by name what rustc would refuse with a longer text.
+/// Refuses types that rustc would refuse with a longer message.
 fn check_type(ty: &Type) -> Result<()> {
     let advice = match ty {
         Type::Reference(_) | Type::Ptr(_) | Type::BareFn(_) => {

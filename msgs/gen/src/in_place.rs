@@ -71,7 +71,7 @@ impl Types<'_> {
         if definition.is_empty() { &[] } else { &definition.fields }
     }
 
-    /// `None` for what has one size.
+    /// The type of a field's sizes; `None` if all its values have the same size.
     fn field_sizes(&self, ty: &FieldType) -> Result<Option<String>, SchemaError> {
         let list = matches!(ty.shape, Shape::Bounded(_) | Shape::Unbounded);
         let dense = || Ok(list.then(|| "usize".to_owned()));

@@ -17,8 +17,8 @@
 //! Request, Response, Event}`, `example_interfaces::action::Fibonacci::{Action, Goal, Result, Feedback, FeedbackMessage,
 //! SendGoal, GetResult}`. A message is a struct with public fields, constants, ROS's defaults, serde, and `Message` of
 //! `tautline-msgs`. It is `Plain` if its memory can be its CDR; if not, `ImageRef`, `ImageWriter` and `ImageSizes` read
-//! and write it in place. A name that is a keyword, or of these three one that a message of the package has, gets a `_` at its
-//! end. Fields are documented with their comments, and those of ROS 2's own messages with their units. The text is
+//! and write it in place. A name gets a `_` at its end if it is a keyword; so does one of these three if a message of the package has
+//! that name. Fields are documented with their comments, and those of ROS 2's own messages with their units. The text is
 //! formatted as rustfmt does, without needing it.
 //!
 //! | module | holds |

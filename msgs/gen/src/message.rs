@@ -96,7 +96,7 @@ fn is_header(field: &Field) -> bool {
     field.name == "header" && field.ty.shape == Shape::Single && is_nested
 }
 
-/// The conversion to and from CDR.
+/// Writes the conversion to and from CDR.
 fn forms(
     text: &mut Text,
     definition: &Definition,
@@ -122,7 +122,7 @@ fn forms(
     text.line("}");
 }
 
-/// What reads it in place, what writes it in place, and its sizes.
+/// Writes the view, the writer and the sizes of a message.
 fn in_place(
     text: &mut Text,
     definition: &Definition,

@@ -59,7 +59,7 @@ pub fn item(name: &str) -> String {
 pub struct Taken(BTreeSet<String>);
 
 impl Taken {
-    /// Of all messages that there are.
+    /// Finds these names among all messages.
     pub fn among<'n>(messages: impl IntoIterator<Item = &'n TypeName>) -> Self {
         let messages: BTreeSet<_> = messages.into_iter().map(TypeName::as_str).collect();
         let is_taken = |name: &&&str| {
@@ -76,7 +76,7 @@ impl Taken {
     }
 }
 
-/// Of edition 2024, and those that are reserved.
+/// The keywords of edition 2024, and those that are reserved.
 const KEYWORDS: &str = "Self abstract as async await become box break const continue crate do dyn else enum extern false final \
     fn for gen if impl in let loop macro match mod move mut override priv pub ref return self static struct super trait \
     true try type typeof unsafe unsized use virtual where while yield";

@@ -67,7 +67,7 @@ fn is_service_or_action(definition: &tautline_schema::Definition) -> bool {
         && matches!(first, Some(Base::Nested(first)) if first.as_str() == part("Request") || first.as_str() == part("Goal"))
 }
 
-/// What a package's folders have files of.
+/// The types that a package's folders have files of.
 fn definitions(packages: &Packages, package: &str) -> Result<Vec<TypeName>, GenerateError> {
     let names: Vec<_> = packages.list().into_iter().filter(|name| name.package() == package).collect();
     if names.is_empty() {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
-/// Of rustfmt without a configuration.
+/// The width of lines in rustfmt without a configuration.
 const MAX_WIDTH: usize = 100;
 
 /// Code, line by line.
@@ -50,7 +50,7 @@ impl Text {
         self.line(format!("/// {line}").trim_end());
     }
 
-    /// A comment of a definition. It is Markdown only if that makes no code, link or tag of it; else it is text.
+    /// A comment of a definition. It stays Markdown only if that makes no code, link or tag of it; else it is put into a text block.
     pub fn comment(&mut self, comment: &str) {
         let is_direction = |c| matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
         let comment: String = comment

@@ -19,7 +19,7 @@ pub fn rust(ty: &FieldType, module: &str, options: &Options) -> String {
     shaped(&base, ty.shape)
 }
 
-/// Its form, which has this type as value.
+/// The CDR form of a field, whose value is of the type that `rust` returns.
 pub fn form(ty: &FieldType, module: &str, options: &Options) -> String {
     let cdr = format!("{}::cdr", options.msgs);
     let bounded = |form: String, bound: Option<u32>| match bound {
@@ -38,7 +38,7 @@ pub fn form(ty: &FieldType, module: &str, options: &Options) -> String {
     }
 }
 
-/// The serde attribute that it needs.
+/// The serde attribute that a field needs.
 pub fn serde(ty: &FieldType, options: &Options) -> Option<String> {
     let module = match (&ty.base, ty.shape) {
         (Base::Primitive(Primitive::F32 | Primitive::F64), _) => "float",

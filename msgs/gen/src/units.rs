@@ -9,7 +9,7 @@ pub fn unit(type_name: &str, field: &str) -> Option<&'static str> {
 
 type Units = &'static [(&'static str, &'static [&'static str])];
 
-/// In the order of the names.
+/// Sorted by the names of types.
 #[rustfmt::skip]
 const UNITS: &[(&str, Units)] = &[
     ("builtin_interfaces/msg/Duration", &[("s", &["sec"]), ("ns", &["nanosec"])]),

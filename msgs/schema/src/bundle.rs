@@ -122,7 +122,7 @@ fn joined<T: fmt::Display>(
     Ok(())
 }
 
-/// In quotes, so that no `#` and no line end is left: these would end the value.
+/// Quotes a text, so that no `#` and no line end is left: these would end the value.
 fn quoted(text: &str) -> String {
     let mut result = String::from('"');
     for character in text.chars() {

@@ -3,7 +3,7 @@
 
 use crate::{Base, FieldType, List, MessageError, Schema, Shape, Value};
 
-/// What does not fit, and where; the path is put together on the way out.
+/// What does not fit, and where; the path is built while the error is returned.
 pub(crate) struct Misfit {
     pub path: String,
     pub reason: String,

@@ -167,11 +167,11 @@ pub struct Definition {
     pub file: Arc<str>,
 }
 
-/// What ROS gives messages without fields, since C and IDL have no empty structs.
+/// The field that ROS gives messages without fields, since C and IDL have no empty structs.
 pub(crate) const EMPTY_MEMBER: &str = "structure_needs_at_least_one_member";
 
 impl Definition {
-    /// Whether it defines no field, and has only the one that stands for none.
+    /// Whether it defines no field, and has only `EMPTY_MEMBER`.
     pub fn is_empty(&self) -> bool {
         let byte = FieldType { base: Base::Primitive(Primitive::U8), shape: Shape::Single };
         matches!(&self.fields[..], [field] if field.name == EMPTY_MEMBER && field.ty == byte)

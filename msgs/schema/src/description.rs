@@ -293,7 +293,7 @@ fn json(text: &str) -> String {
     ascii(&serde_json::to_string(text).unwrap_or_default())
 }
 
-/// JSON with all that is not printable ASCII escaped; outside of strings there is nothing of the kind.
+/// Escapes what is not printable ASCII in a JSON text; such characters are only in its strings.
 fn ascii(json: &str) -> String {
     let mut result = String::with_capacity(json.len());
     for character in json.chars() {

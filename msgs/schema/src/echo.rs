@@ -68,7 +68,7 @@ struct Printer<'a, W> {
 }
 
 impl<W: Write> Printer<'_, W> {
-    /// The fields of type `node`, a line each; the first one continues a line that is there.
+    /// The fields of type `node`, a line each; if `continues`, the first one continues the current line.
     fn fields(&mut self, node: usize, values: &[Value], indent: usize, mut continues: bool) -> fmt::Result {
         let schema = self.schema;
         let node = schema.node(node);
@@ -141,7 +141,7 @@ impl<W: Write> Printer<'_, W> {
     }
 }
 
-/// A list of `len` elements, as ROS 2's tools say it.
+/// A list of `len` elements, as ROS 2's tools print it.
 fn summary(ty: &FieldType, len: usize) -> String {
     let base = &ty.base;
     match ty.shape {
@@ -151,7 +151,7 @@ fn summary(ty: &FieldType, len: usize) -> String {
     }
 }
 
-/// What Python prints, as YAML wants it: `.nan`, `.inf`, and a point before the exponent.
+/// Converts a float from Python's format to YAML's: `.nan`, `.inf`, and a point before the exponent.
 fn yaml_float(text: String) -> String {
     match text.as_str() {
         "nan" => ".nan".to_owned(),
@@ -162,7 +162,7 @@ fn yaml_float(text: String) -> String {
     }
 }
 
-/// A text without quotes if it can do without, else in single, else in double quotes.
+/// A text without quotes if that is possible, else in single, else in double quotes.
 fn yaml_text(text: &str, indent: usize) -> String {
     let special =
         |character: char| character != '\n' && (character.is_control() || BREAKS.contains(character));
@@ -178,7 +178,7 @@ fn yaml_text(text: &str, indent: usize) -> String {
 /// Characters that YAML may take for the end of a line, or leave out.
 const BREAKS: &str = "\u{2028}\u{2029}\u{feff}";
 
-/// In single quotes, one line end more stands for line ends.
+/// A text in single quotes, in which n + 1 line ends stand for n.
 fn single_quoted(text: &str, indent: usize) -> String {
     let mut quoted = String::from("'");
     let mut previous = ' ';

@@ -149,7 +149,7 @@ pub(crate) fn defaults(schema: &Schema, index: usize) -> Vec<Value> {
     fields.map(|(field, nested)| default_of(schema, &field.ty, *nested, field.default.as_ref())).collect()
 }
 
-/// The value of a field that nobody set.
+/// The value of a field that was not set.
 fn default_of(schema: &Schema, ty: &FieldType, nested: Option<usize>, default: Option<&Value>) -> Value {
     if let Some(default) = default {
         return default.clone();

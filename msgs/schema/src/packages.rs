@@ -12,7 +12,7 @@ use crate::{Definition, Kind, Schema, SchemaError, TypeName, derived, parse, wel
 ///
 /// A folder is searched as a prefix (`<folder>/share/<package>/msg/Name.msg`), as a folder of packages
 /// (`<folder>/<package>/msg/Name.msg`) and as a package (`<folder>/msg/Name.msg`, the package named as the folder).
-/// The first folder that has a type wins. Files are read when their types are asked for.
+/// The first folder that has a type wins. Files are read when their types are requested.
 #[derive(Debug, Default)]
 pub struct Packages {
     folders: Vec<PathBuf>,
@@ -78,7 +78,7 @@ impl Packages {
     pub fn definition(&mut self, name: &TypeName) -> Result<Option<Arc<Definition>>, SchemaError> {
         if !self.known.contains_key(name) {
             for origin in derived::origins(name) {
-                // Only from services and actions is anything derived.
+                // Types are derived only from services and actions.
                 if origin.kind() != Kind::Msg || origin == *name {
                     self.load(&origin)?;
                 }

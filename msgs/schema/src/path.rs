@@ -14,7 +14,7 @@ impl DynamicMessage {
         Ok(self.find(path)?.0)
     }
 
-    /// The value at a path, and the type of what it consists of, if that is a message.
+    /// The value at a path, and the type of it or of its elements, if that is a message.
     pub(crate) fn find(&self, path: &str) -> Result<(Cow<'_, Value>, usize), MessageError> {
         let error = |reason| self.no_path(path, reason);
         let mut fields = &self.fields;

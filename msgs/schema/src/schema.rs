@@ -10,7 +10,7 @@ use crate::{
     well_known,
 };
 
-/// Gives a type's definition, `None` if it knows none.
+/// Returns a type's definition; `None` if there is none.
 pub type Lookup<'a> = dyn FnMut(&TypeName) -> Result<Option<Arc<Definition>>, SchemaError> + 'a;
 
 /// A type and all types it consists of, which decoding, hashing and code generation need. Its types are known to
@@ -60,7 +60,7 @@ impl Schema {
     /// Looks up a type and all types it consists of.
     ///
     /// # Errors
-    /// [`SchemaError`] if a type is missing, recursive or too large; what `lookup` returns.
+    /// [`SchemaError`] if a type is missing, recursive or too large; an error of `lookup`.
     pub fn resolve(name: &TypeName, lookup: &mut Lookup<'_>) -> Result<Self, SchemaError> {
         let missing = || SchemaError::Missing { name: name.to_string(), searched: String::new() };
         let definition = lookup(name)?.ok_or_else(missing)?;
@@ -86,7 +86,7 @@ impl Schema {
     /// The schema of one of the types that it consists of.
     ///
     /// # Errors
-    /// [`SchemaError::Missing`] if it does not consist of this one.
+    /// [`SchemaError::Missing`] if the type does not consist of that one.
     pub fn of_part(&self, name: &TypeName) -> Result<Self, SchemaError> {
         let definitions = self.types.iter().map(|node| &node.definition);
         Self::resolve(name, &mut |name| {
@@ -194,7 +194,7 @@ impl Resolver<'_, '_> {
         Ok(())
     }
 
-    /// Sees to it that the type of a field is known.
+    /// Visits the type of a field, unless it was visited before.
     fn visit_field(&mut self, field: &Field, name: &TypeName) -> Result<(), SchemaError> {
         let error = |fault| Err(SchemaError::Definition { place: field.place.clone(), fault });
         if let Some(start) = self.path.iter().position(|other| other == name) {
@@ -215,7 +215,7 @@ impl Resolver<'_, '_> {
 }
 
 impl SchemaError {
-    /// Says where a missing type was looked for.
+    /// Adds where a missing type was searched for.
     pub(crate) fn searched(self, place: &str) -> Self {
         let searched = place.to_owned();
         match self {

@@ -67,7 +67,7 @@ pub enum List {
     Struct(Vec<Vec<Value>>),
 }
 
-/// The same code for whatever the elements are.
+/// Runs the same code for every type of elements.
 macro_rules! for_each_list {
     ($list:expr, $items:ident => $body:expr) => {
         match $list {
@@ -148,7 +148,7 @@ impl List {
     }
 }
 
-/// What a list has as elements.
+/// The type of a list's elements.
 trait Element: Sized {
     fn into_value(self) -> Value;
     /// Gives the value back if it is of another type.

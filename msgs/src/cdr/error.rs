@@ -5,7 +5,7 @@ use core::fmt;
 /// What is wrong with a message, and in which of its fields. Holds no heap memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FieldError<F> {
-    /// The innermost message, `package/msg/Name`; empty if the value is none, or if it is not known.
+    /// The innermost message, `package/msg/Name`; empty if the value is not a message, or if the message is not known.
     pub type_name: &'static str,
     /// Its field; empty for the message itself.
     pub field: &'static str,
@@ -192,7 +192,7 @@ impl FieldPath {
         self.len == 0
     }
 
-    /// Puts a field before what there is.
+    /// Prepends a field to the path.
     #[cold]
     pub(crate) fn enter_field(&mut self, name: &'static &'static str) {
         let place = usize::from(self.len);
@@ -204,7 +204,7 @@ impl FieldPath {
         self.len = self.len.saturating_add(1);
     }
 
-    /// Says which element of the field entered next.
+    /// Sets the element of the field that is entered next.
     #[cold]
     pub(crate) fn enter_index(&mut self, index: usize) {
         self.index = u32::try_from(index).unwrap_or(NO_INDEX - 1);

@@ -16,7 +16,7 @@ pub trait Form: Sized {
     /// The Rust type of the value.
     type Value;
 
-    /// No value is shorter, in bytes, padding not counted. At least 1.
+    /// The least length of a value in bytes, padding not counted. At least 1.
     const MIN_SIZE: usize;
 
     /// Where a value ends that is written at `at`, both in bytes from the start of the body.
@@ -34,7 +34,7 @@ pub trait Form: Sized {
     /// Reads a value.
     ///
     /// # Errors
-    /// [`Fault`] if the bytes are none.
+    /// [`Fault`] if the bytes are not a value.
     fn read(reader: &mut Reader<'_>) -> Result<Self::Value, Fault>;
 
     /// As [`end`](Self::end), for values one after the other.
@@ -75,7 +75,7 @@ pub trait Form: Sized {
 pub fn read_one_by_one<F: Form>(reader: &mut Reader<'_>, len: usize) -> Result<Vec<F::Value>, Fault> {
     reader.expect(len, F::MIN_SIZE)?;
     let size = size_of::<F::Value>().max(1);
-    // The claimed length fits into what is left: believed unless values are much longer in memory than in CDR.
+    // The claimed length fits into what is left, and is allocated at once, unless values are much longer in memory than in CDR.
     let at_once = if size <= 2 * F::MIN_SIZE { len } else { len.min(reader.left() / size) };
     let mut values = Vec::with_capacity(at_once);
     for index in 0..len {
@@ -274,7 +274,7 @@ pub(crate) fn text<'a>(reader: &mut Reader<'a>, bound: usize) -> Result<&'a str,
     Ok(text)
 }
 
-/// Bytes are no fewer than characters: short text need not be counted.
+/// A text has no fewer bytes than characters, so those of a short text need not be counted.
 fn check(text: &str, bound: usize, start: usize) -> Result<(), Fault> {
     if text.len() > bound && text.chars().count() > bound {
         let len = text.chars().count();

@@ -23,7 +23,7 @@ pub struct Reader<'a> {
     path: Option<FieldPath>,
 }
 
-/// What may follow a message at its end, and as much again for every empty sequence of 8-byte numbers and every
+/// The number of bytes that may follow a message, and once more for every empty sequence of 8-byte numbers and every
 /// `wstring`: when ROS 2 computes the length of a message, it aligns elements that are not there and counts a zero at
 /// the end of a `wstring`, and then sends that many bytes.
 pub(crate) const SLACK: usize = 8;
@@ -44,7 +44,7 @@ impl<'a> Reader<'a> {
         self.body
     }
 
-    /// Goes on at `at`, in bytes from the start of the body.
+    /// Continues at `at`, in bytes from the start of the body.
     pub(crate) fn skip_to(&mut self, at: usize) {
         self.at = at;
     }
@@ -110,7 +110,7 @@ impl<'a> Reader<'a> {
         if len > most { Err(self.fault(DecodeFault::Trailing { len, most })) } else { Ok(()) }
     }
 
-    /// ROS 2 may append more: see `SLACK`.
+    /// Allows once more the bytes that ROS 2 may append: see `SLACK`.
     #[inline]
     pub(crate) fn add_slack(&mut self) {
         self.slack += SLACK;
@@ -121,7 +121,7 @@ impl<'a> Reader<'a> {
         Fault::new(self.at, fault)
     }
 
-    /// The length that was read last is over its bound.
+    /// The fault that the length that was read last is over its bound.
     #[cold]
     pub(crate) fn over_bound(&self, len: usize, bound: usize) -> Fault {
         Fault::new(self.at.saturating_sub(4), DecodeFault::Bound { len, bound })
@@ -142,7 +142,7 @@ impl<'a> Reader<'a> {
         fault
     }
 
-    /// Says in which element a fault is, on its way out.
+    /// Adds the element to the path of a fault while the error is returned.
     #[cold]
     pub(crate) fn at_index(&mut self, fault: Fault, index: usize) -> Fault {
         self.path.get_or_insert(FieldPath::EMPTY).enter_index(index);

@@ -22,7 +22,7 @@ pub trait View: Form {
     /// Wait-free; no allocation; no syscall. See [`Message::view`](crate::Message::view).
     ///
     /// # Errors
-    /// [`Fault`] if the bytes are none.
+    /// [`Fault`] if the bytes are not a value.
     fn view_value<'a>(reader: &mut Reader<'a>) -> Result<Self::Ref<'a>, Fault>;
 
     /// As [`view_value`](Self::view_value), for `len` values one after the other.
@@ -135,7 +135,7 @@ pub(crate) fn slice<'a, T: Plain>(reader: &mut Reader<'a>, len: usize) -> Result
     let start = reader.position().next_multiple_of(T::FIRST_ALIGN);
     values(reader, len).map_err(|fault| match fault.fault {
         DecodeFault::Value { .. } => {
-            // Read as an owned one, it says what is wrong.
+            // Reading the value as an owned one gives the fault.
             reader.skip_to(fault.offset);
             let index = fault.offset.saturating_sub(start) / size_of::<T>();
             let fault = T::read(reader).err().unwrap_or(fault);
@@ -186,7 +186,7 @@ pub(crate) const fn fits_stack<T>() -> bool {
     size_of::<T>() <= 4096
 }
 
-/// What is wrong with messages that cannot be read in place: read as owned ones, they say which field.
+/// What is wrong with messages that cannot be read in place: reading them as owned ones gives the field.
 #[cold]
 fn explain<T: Plain>(reader: &mut Reader<'_>, start: usize, len: usize, fault: Fault) -> Fault {
     reader.skip_to(start);
@@ -214,8 +214,8 @@ fn first_fault<T: Plain>(reader: &mut Reader<'_>) -> Option<Fault> {
     if fits_stack::<T>() { read::<T>(reader) } else { None }
 }
 
-/// Values one after the other, in place. Without padding between or within, so that their memory is their CDR wherever
-/// the first lies. Of one that is invalid the fault only says where it starts.
+/// Values one after the other, in place. There is no padding between or within them, so that their memory is their CDR
+/// wherever the first lies. The fault of an invalid value only has its start.
 #[inline]
 fn values<'a, T: Plain>(reader: &mut Reader<'a>, len: usize) -> Result<&'a [T], Fault> {
     const { assert!(T::DENSE, "elements with padding are read one by one") }

@@ -54,7 +54,7 @@ impl<'a> Writer<'a> {
         let len = text.len() + 1;
         let end = start + 4 + len;
         let (Ok(number), Some(place)) = (u32::try_from(len), self.out.get_mut(self.at..end)) else {
-            // Which of the two: as for any other length and bytes.
+            // Finds out which of the two failed, as for any other length and bytes.
             self.length(len)?;
             return self.put(1, text.as_bytes()).and_then(|()| self.put(1, &[0]));
         };

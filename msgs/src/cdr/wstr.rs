@@ -9,7 +9,7 @@ pub struct WStr<'a> {
 }
 
 impl<'a> WStr<'a> {
-    /// `None` if the units are no text.
+    /// Checks the units. `None` if they are not valid UTF-16.
     pub(crate) fn new(units: &'a [u32]) -> Option<Self> {
         let text = Self { units };
         let all_units = units.iter().all(|&unit| u16::try_from(unit).is_ok());
@@ -17,7 +17,7 @@ impl<'a> WStr<'a> {
     }
 
     fn decode(self) -> impl Iterator<Item = Result<char, core::char::DecodeUtf16Error>> {
-        // None was larger when they were checked.
+        // Each unit fitted into 16 bits when it was checked.
         char::decode_utf16(self.units.iter().map(|&unit| unit as u16))
     }
 

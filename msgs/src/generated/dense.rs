@@ -38,7 +38,7 @@ macro_rules! dense_struct {
 
         $crate::dense_struct!(@fill $type);
     };
-    // Of numbers, too.
+    // Numbers use these, too.
     (@lists) => {
         type List<'a> = &'a [Self];
         type Array<'a, const LEN: usize> = &'a [Self; LEN];

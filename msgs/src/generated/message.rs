@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
-/// Implements [`Message`](crate::Message): `plain` for one read through `&Self`, else with the name of what reads it.
+/// Implements [`Message`](crate::Message): `plain` for a message that is read through `&Self`, else with the name of its view.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! message {

@@ -21,7 +21,7 @@ macro_rules! plain_struct {
             }
         }
     };
-    // The derive's too, which proves the layout with words of its own, and says where which field has to be `Plain`.
+    // Also for the derive, which proves the layout with errors of its own, and names the fields that have to be `Plain`.
     (
         @sized $name:literal; $type:ident { $($field:ident: $ty:ty),+ } ($type_name:expr)
         where [$($bounds:tt)*] $size:block

@@ -25,7 +25,7 @@ pub struct Container {
     last_id: u64,
 }
 
-/// Of a file: device, number, and when it was written.
+/// The version of a file: its device, its number, and when it was written.
 type Version = (u64, u64, Option<SystemTime>);
 
 struct Loaded {
@@ -98,7 +98,7 @@ impl Container {
             .map_err(|_| ComponentError::Panicked { component: component() })
             .and_then(|made| made.map_err(not_made));
         let handed = made.inspect_err(|_| {
-            // What it had started before it failed. That one of them panicked, too, says nothing more.
+            // Ends what it had started before it failed. A panic of one of them, too, adds no information.
             let _ = of_node.end();
             restore_level(logger.as_ref());
         })?;
@@ -112,7 +112,7 @@ impl Container {
         let path = path.canonicalize().map_err(unreadable)?;
         let version = version(&path).map_err(unreadable)?;
         if let Some((library, loaded)) = self.libraries.get(&path) {
-            // Its code stays in memory; a second one beside it would have the same name, and other types.
+            // The library's code stays in memory; a second library beside it would have the same name, and other types.
             return if *loaded == version { Ok(library) } else { Err(ComponentError::Replaced { path }) };
         }
         stamp::check(&path)?;
@@ -158,7 +158,7 @@ impl Drop for Container {
     }
 }
 
-/// The next node of this name has the level that it would have had.
+/// Restores the logger's level, so that the next node of this name has the level that it would have had.
 fn restore_level(logger: Option<&(Logger, LogSeverity)>) {
     if let Some((logger, before)) = logger {
         logger.set_level(*before);
@@ -183,12 +183,12 @@ fn find<'l>(plugins: &'l [Plugin], load: &Load) -> Result<&'l Plugin, ComponentE
     })
 }
 
-/// Loads a library whose stamp was found right.
+/// Loads a library whose stamp was checked.
 fn open(path: &Path) -> Result<&'static Library, ComponentError> {
     let refuse =
         |error: libloading::Error| ComponentError::Load { path: path.into(), reason: error.to_string() };
     use libloading::os::unix;
-    // All symbols now: one that is missing is an error here, not a crash later.
+    // All symbols are bound now: a missing one is an error here, not a crash later.
     let flags = unix::RTLD_NOW | unix::RTLD_LOCAL;
     // SAFETY: its stamp says that it was built by this process's compiler with this process's Tautline; what runs while it is
     // loaded is what its author links, as in any program.

@@ -16,7 +16,7 @@ pub struct Plugin {
     pub create: Create,
 }
 
-/// Its address tells the copies of this library in a process apart.
+/// Its address distinguishes the copies of this library in a process.
 static COPY: u8 = 1;
 
 /// The exported symbol of a library: first the stamp, as plain bytes. The rest is read only if the stamp is
@@ -71,7 +71,7 @@ fn copy() -> *const u8 {
 #[macro_export]
 macro_rules! components {
     ($($name:literal => $create:expr),+ $(,)?) => {
-        // The copy that the process has, too. A crate without it does not compile.
+        // The copy that the process has, too. A crate without this dependency does not compile.
         extern crate tautline_dylib as _;
 
         /// Read by `tautline_components::Container`.

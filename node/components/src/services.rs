@@ -31,7 +31,7 @@ pub fn serve(
     let lists = node.create_service::<ListNodes::Service>("~/_container/list_nodes", qos)?.owned();
     let container = container.clone();
     Ok(async move {
-        // Who asked is told; if it has gone, nobody is.
+        // An error of `respond` means that the client has ended.
         let loads = loads.for_each(|request| {
             let response = load(&mut lock(&container), &request.message);
             let _ = request.respond(response);
@@ -68,7 +68,7 @@ fn load(container: &mut Container, request: &LoadNode::Request) -> LoadNode::Res
     }
 }
 
-/// What a request wants.
+/// The component that a request describes.
 fn described(request: &LoadNode::Request) -> Result<Load, String> {
     let remap = RemapRules::parse(&request.remap_rules).map_err(|error| error.to_string())?;
     Ok(Load {
@@ -102,8 +102,8 @@ fn log_level(level: u8) -> Result<Option<LogSeverity>, String> {
     }
 }
 
-/// Those that rclcpp's containers know. What components publish to each other goes through shared memory without a copy,
-/// `use_intra_process_comms` or not.
+/// Reads the extra arguments, which are those of rclcpp's containers. Messages between components go through shared memory without a
+/// copy, with or without `use_intra_process_comms`.
 fn forward_global_arguments(messages: &[msg::Parameter]) -> Result<bool, String> {
     let mut forward = false;
     for (name, value) in parameters("extra argument", messages)? {

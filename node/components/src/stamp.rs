@@ -9,7 +9,7 @@ use std::path::Path;
 
 /// The name of the symbol that a library of components exports.
 pub(crate) const SYMBOL: &str = "TAUTLINE_COMPONENTS";
-/// The longest file that is looked into.
+/// Maximum length of a file that is read.
 const MAX_BYTES: u64 = 1 << 30;
 /// Length of the stamp in bytes.
 pub const STAMP_BYTES: usize = 256;
@@ -31,7 +31,7 @@ pub const STAMP: [u8; STAMP_BYTES] = padded(TEXT.as_bytes());
 const fn padded(text: &[u8]) -> [u8; STAMP_BYTES] {
     let mut stamp = [0; STAMP_BYTES];
     let mut at = 0;
-    // One too long does not compile.
+    // A text that is too long does not compile.
     while at < text.len() {
         stamp[at] = text[at];
         at += 1;
@@ -43,7 +43,7 @@ const fn padded(text: &[u8]) -> [u8; STAMP_BYTES] {
 pub(crate) fn check(path: &Path) -> Result<(), ComponentError> {
     let unreadable = |source| ComponentError::Read { path: path.into(), source };
     let refuse = |reason: &str| ComponentError::NoLibrary { path: path.into(), reason: reason.into() };
-    // Before it is opened: a FIFO would wait for a writer, a device may have no end.
+    // Checked before it is opened: a FIFO would wait for a writer, a device may have no end.
     if !path.metadata().map_err(unreadable)?.is_file() {
         return Err(refuse("it is not a regular file"));
     }
@@ -53,14 +53,14 @@ pub(crate) fn check(path: &Path) -> Result<(), ComponentError> {
     }
 }
 
-/// `None` if it is longer than a library may be.
+/// Reads a file; `None` if it is longer than a library may be.
 fn read(path: &Path) -> io::Result<Option<Vec<u8>>> {
     let file = File::open(path)?;
     if file.metadata()?.len() > MAX_BYTES {
         return Ok(None);
     }
     let mut bytes = Vec::new();
-    // It may grow meanwhile.
+    // The file may grow meanwhile.
     file.take(MAX_BYTES + 1).read_to_end(&mut bytes)?;
     Ok((bytes.len() as u64 <= MAX_BYTES).then_some(bytes))
 }
@@ -81,7 +81,7 @@ fn check_bytes(path: &Path, bytes: &[u8]) -> Result<(), ComponentError> {
     Err(ComponentError::OtherBuild { path: path.into(), found, own })
 }
 
-/// The lines of a stamp after the first; another process's bytes.
+/// The lines of a stamp after the first. The bytes come from another build.
 fn describe(stamp: &[u8]) -> String {
     let text = String::from_utf8_lossy(stamp);
     let lines: Vec<_> = text.trim_end_matches('\0').lines().collect();

@@ -31,7 +31,7 @@ fn expand(input: &DeriveInput) -> Result<TokenStream> {
     let get = arms(fields.iter(), &quote!(get_parameter(rest)));
     let set = arms(fields.iter(), &quote!(set_parameter(rest, param_val)));
     let check = arms(fields.iter(), &quote!(check_parameter(rest, param_val)));
-    // The crate may have another name where the struct is.
+    // The crate may have another name in the crate of the struct.
     let name_of_crate = |name: &str| match proc_macro_crate::crate_name(name).ok()? {
         FoundCrate::Name(name) => Some(name),
         FoundCrate::Itself => Some(name.replace('-', "_")),
@@ -100,7 +100,7 @@ fn arms<'f>(fields: impl Iterator<Item = &'f Field>, call: &TokenStream) -> Vec<
     fields.map(arm).collect()
 }
 
-/// Without the `r#` of a field that is called as a keyword.
+/// The field's name without the `r#` of a keyword.
 fn field_name(field: &Field) -> String {
     let name = field.ident.as_ref().map(ToString::to_string).unwrap_or_default();
     name.strip_prefix("r#").unwrap_or(&name).to_owned()
@@ -120,7 +120,7 @@ fn register(field: &Field) -> Result<TokenStream> {
     })
 }
 
-/// What `#[param(...)]` and the documentation say of the field.
+/// The descriptor of the field, from `#[param(...)]` and the documentation.
 fn descriptor(field: &Field) -> Result<TokenStream> {
     let mut calls = TokenStream::new();
     let (mut description, mut step, mut has_range) = (documentation(field), None, false);

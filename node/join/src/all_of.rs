@@ -9,7 +9,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
 
-/// How often all inputs are looked at in one poll.
+/// How often one poll checks all inputs.
 const ROUNDS: usize = 4;
 
 /// A stream of tuples with the newest message of each input, as soon as each input has sent one since the previous tuple. Created by
@@ -61,7 +61,7 @@ impl<S: AllOfInputs> Stream for AllOf<S> {
 
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<S::Items>> {
         let AllOf { slots, counters, last } = &mut *self;
-        // Twice is enough if nothing comes meanwhile: to take what is there, and to be woken for what is not.
+        // Twice is enough if nothing arrives meanwhile: to take the available messages, and to register for a wake-up.
         for _ in 0..ROUNDS {
             let (mut has_come, mut has_ended) = (false, false);
             for input in 0..S::COUNT {
@@ -104,7 +104,7 @@ impl<S: AllOfInputs> Stream for AllOf<S> {
 
 /// Tuples of 2 to 9 [`Source`]s.
 pub trait AllOfInputs: sealed::Tuple {
-    /// One message of each.
+    /// One message of each input.
     type Items;
 }
 
@@ -150,7 +150,7 @@ impl<S: Source> Slot for Input<S> {
         self.has_ended = item.is_none();
         let Some(item) = item else { return Poll::Ready(None) };
         note(self.newest.replace(item).is_some());
-        // What came after it belongs to the same job.
+        // Messages that arrived after it belong to the same job.
         for _ in 0..self.source.room().depth {
             let Some(newer) = self.source.try_next() else { break };
             note(self.newest.replace(newer).is_some());
@@ -188,7 +188,7 @@ macro_rules! tuple {
             fn slot(slots: &mut Self::Slots, input: usize) -> &mut dyn Slot {
                 match input {
                     $($place => &mut slots.$place,)*
-                    // Never: inputs are counted.
+                    // Unreachable: inputs are numbered below `COUNT`.
                     _ => &mut slots.0,
                 }
             }

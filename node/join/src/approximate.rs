@@ -25,7 +25,7 @@ pub struct ApproximateTime {
     candidate: Option<Candidate>,
 }
 
-/// The stamps of one input's messages that wait. Those before `next` were looked at since there is a candidate, whose message is the first.
+/// The stamps of one input's waiting messages. Those before `next` were examined for the current candidate, whose message is the first.
 #[derive(Clone, Debug, Default)]
 struct Channel {
     stamps: VecDeque<i64>,
@@ -84,26 +84,26 @@ impl ApproximateTime {
         self
     }
 
-    /// Whether a set is no better than the candidate that ends so much later and starts so much later: what is lost at the end, and a
-    /// little more for its age, is as much as what is won at the start.
+    /// Whether a set that ends and starts later than the candidate by these times is no better: the loss at the end, increased by the
+    /// age penalty, is at least the gain at the start.
     fn is_no_better(&self, later_end_ns: i64, later_start_ns: i64) -> bool {
         // Differences of stamps are exact in an f64 up to 104 days.
         later_end_ns as f64 * (1.0 + self.age_penalty) >= later_start_ns as f64
     }
 
-    /// The set that the oldest messages not looked at would be: the first and last of their stamps, each with its channel. `None`: not
-    /// every channel has one.
+    /// The set of each channel's oldest message that was not examined: the first and last of their stamps, each with its channel.
+    /// `None`: not every channel has such a message.
     fn fronts(&self) -> Option<[(i64, usize); 2]> {
         span(self.channels.iter().map(|channel| channel.stamps.get(channel.next).copied()))
     }
 
-    /// All are looked at again.
+    /// Makes all messages unexamined.
     fn rewind(&mut self) {
         self.channels.iter_mut().for_each(|channel| channel.next = 0);
     }
 
-    /// Whether no message that may still come makes a better set with this pivot, if they come as early as they can: the search goes on
-    /// with these.
+    /// Whether no later message can make a better set with this pivot: continues the search with messages that arrive as early as
+    /// they can.
     fn is_proven(&self, candidate: &Candidate) -> bool {
         let mut ahead = [0; crate::MAX_INPUTS];
         loop {
@@ -122,7 +122,7 @@ impl ApproximateTime {
             if !self.is_no_better(later_end, start.saturating_sub(candidate.start_ns)) {
                 return false;
             }
-            // What starts before the pivot is there: this ends with the messages that wait.
+            // A set that starts before the pivot consists of waiting messages: the loop ends with these.
             ahead[first] += 1;
         }
     }
@@ -134,7 +134,7 @@ impl Policy for ApproximateTime {
     }
 
     fn start(&mut self, inputs: usize) {
-        // One more, until it is decided.
+        // One more: the arriving message, until the policy has decided.
         let stamps = || VecDeque::with_capacity(self.queue_size.saturating_add(1));
         self.channels = (0..inputs).map(|_| Channel { stamps: stamps(), ..Channel::default() }).collect();
         self.candidate = None;
@@ -159,7 +159,7 @@ impl Policy for ApproximateTime {
         loop {
             while let Some([(start_ns, first), (end_ns, last)]) = self.fronts() {
                 for (i, channel) in self.channels.iter_mut().enumerate() {
-                    // What the others have is earlier than the last; so was what they dropped.
+                    // The messages of the other channels are earlier than the last one, as were those that they dropped.
                     channel.has_dropped &= i == last;
                 }
                 let candidate = match self.candidate {
@@ -183,7 +183,7 @@ impl Policy for ApproximateTime {
                     }
                 };
                 if self.candidate.is_none_or(|best| best.start_ns != candidate.start_ns) {
-                    // What was looked at is too early for any set to come.
+                    // The examined messages are too early for any later set.
                     for (i, channel) in self.channels.iter_mut().enumerate() {
                         for _ in 0..std::mem::take(&mut channel.next) {
                             channel.stamps.pop_front();
@@ -213,7 +213,7 @@ impl Policy for ApproximateTime {
             self.channels[full].stamps.pop_front();
             self.channels[full].has_dropped = true;
             drop(full);
-            // The candidate may have lost a message; another one may be among what waits.
+            // The candidate may have lost a message; the waiting messages may contain another one.
             self.candidate = None;
         }
     }

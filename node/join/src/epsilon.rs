@@ -55,7 +55,7 @@ impl Policy for ApproximateEpsilonTime {
     }
 
     fn start(&mut self, inputs: usize) {
-        // One more, until it is decided.
+        // One more: the arriving message, until the policy has decided.
         let stamps = || VecDeque::with_capacity(self.queue_size.saturating_add(1));
         self.channels = (0..inputs).map(|_| Channel { stamps: stamps(), newest_ns: i64::MIN }).collect();
     }

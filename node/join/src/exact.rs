@@ -29,7 +29,7 @@ impl ExactTime {
         ExactTime { queue_size, channels: Vec::new(), fresh: None, last_set: None }
     }
 
-    /// The oldest stamp that waits, and how many different ones do.
+    /// The oldest waiting stamp, and the number of different waiting stamps.
     fn oldest(&self) -> (i64, usize) {
         let mut at = [0; crate::MAX_INPUTS];
         let (mut oldest, mut count) = (i64::MAX, 0);
@@ -50,7 +50,7 @@ impl Policy for ExactTime {
     }
 
     fn start(&mut self, inputs: usize) {
-        // One more, until it is decided.
+        // One more: the arriving message, until the policy has decided.
         let stamps = || VecDeque::with_capacity(self.queue_size.saturating_add(1));
         (self.channels, self.fresh, self.last_set) = ((0..inputs).map(|_| stamps()).collect(), None, None);
     }

@@ -10,7 +10,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
 
-/// How many messages of an input are kept: the newest, and those that the callback may still hold.
+/// Number of messages of an input that are kept: the newest, and those that the callback may still hold.
 const KEPT: usize = 2;
 
 /// A stream of each message of a trigger, with the newest message of each of the other inputs, if there has been one. Created by
@@ -97,7 +97,7 @@ impl<T> Deref for Kept<T> {
     fn deref(&self) -> &T {
         match &*self.0 {
             Some(item) => item,
-            // What is given out is emptied only by who has it alone.
+            // A place is emptied only while nothing else refers to it.
             None => unreachable!("a kept message is there as long as it is held"),
         }
     }
@@ -105,7 +105,7 @@ impl<T> Deref for Kept<T> {
 
 /// Tuples of 1 to 9 [`Source`]s.
 pub trait LatestInputs: sealed::Tuple {
-    /// The newest of each, if there is one.
+    /// The newest message of each input, if there is one.
     type Items;
     /// The newest of each.
     type All;
@@ -132,7 +132,7 @@ pub(crate) mod sealed {
 /// One of the other inputs, of any type.
 pub trait Reader {
     fn catch_up(&mut self, input: usize, counters: &JoinCounters);
-    /// Takes one message, as a job, and says whether there was a place for it.
+    /// Takes one message, as a job, and returns whether there was a place for it.
     fn poll_arrival(
         &mut self,
         context: &mut Context<'_>,
@@ -176,7 +176,7 @@ impl<S: Source> Input<S> {
     /// Keeps a message as the newest; `false`: all places are read, so that it is dropped.
     fn put(&mut self, item: S::Item, input: usize, counters: &JoinCounters) -> bool {
         counters.of(input, |c| &c.received);
-        // A place that nobody reads, beginning with that of the newest; what else nobody reads is given back.
+        // Uses a place without readers, beginning with that of the newest; messages in other such places are released.
         let mut item = Some(item);
         let (newest, was_given) = (self.newest, std::mem::replace(&mut self.was_given, false));
         for place in (0..KEPT).map(|step| (newest + step) % KEPT) {
@@ -254,7 +254,7 @@ macro_rules! tuple {
             fn reader(readers: &mut Self::Readers, input: usize) -> &mut dyn Reader {
                 match input {
                     $($place => &mut readers.$place,)*
-                    // Never: inputs are counted.
+                    // Unreachable: inputs are numbered below `COUNT`.
                     _ => &mut readers.0,
                 }
             }

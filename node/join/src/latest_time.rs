@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which input is the fastest.
+//! Determines the fastest input.
 
 /// Forms sets by the rates of the inputs: message_filters' `LatestTime`.
 ///
@@ -44,7 +44,7 @@ struct Rate {
     config: RateConfig,
     last_ns: Option<i64>,
     hz: Option<f64>,
-    /// Known from the third message on.
+    /// `None` before the third message.
     error_hz: Option<f64>,
 }
 
@@ -84,7 +84,7 @@ impl LatestTime {
     pub fn arrived(&mut self, input: usize, now_ns: i64) -> bool {
         let Some(hz) = self.rates.get_mut(input).and_then(|rate| rate.update(now_ns)) else { return false };
         let is_faster = |(i, other): (usize, &Rate)| {
-            // Of equal ones the first.
+            // Of equal rates, the first input counts.
             let comes_first = other.hz.is_some_and(|other| if i < input { other >= hz } else { other > hz });
             i != input && comes_first && !other.is_late(now_ns)
         };
@@ -105,7 +105,7 @@ impl RateConfig {
 }
 
 impl Rate {
-    /// The rate with a message that comes now; `None` if it is not known.
+    /// Updates the rate with a message that arrives now; `None` if the rate is not known.
     fn update(&mut self, now_ns: i64) -> Option<f64> {
         let period_ns = now_ns.saturating_sub(self.last_ns.replace(now_ns)?);
         if period_ns < 0 {
@@ -115,7 +115,7 @@ impl Rate {
             return None;
         }
         let now_hz = 1e9 / period_ns as f64;
-        // So that what does not change is not rounded: inputs of one rate have one to the last bit.
+        // In this form a value that does not change is not rounded: inputs of one rate have exactly equal rates.
         let mix = |alpha: f64, new: f64, old: f64| old + alpha * (new - old);
         let hz = match (self.hz, self.error_hz) {
             (Some(hz), Some(error_hz)) if (hz - now_hz).abs() > self.margin(hz, error_hz) => {

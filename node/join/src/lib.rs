@@ -84,7 +84,7 @@ pub enum JoinError {
     },
 }
 
-/// The inputs can hold what a join keeps of each, besides one that arrives and one that the callback has.
+/// Checks that each input can hold the messages that a join keeps, one that arrives, and one that the callback works on.
 fn check_room(inputs: impl Iterator<Item = (String, usize)>, kept: usize) -> Result<(), JoinError> {
     let needed = kept.saturating_add(2);
     for (input, room) in inputs {

@@ -1,23 +1,23 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which messages belong together, decided by their stamps, or with [`LatestTime`](crate::LatestTime) by the rates at which they arrive.
+//! Decides which messages belong together: by their stamps, or with [`LatestTime`](crate::LatestTime) by the rates at which they arrive.
 
 /// Decides which of the waiting messages form a set. It sees only stamps in nanoseconds. The caller keeps the messages, one queue for
 /// each input, and carries out the decisions.
 pub trait Policy {
-    /// Most messages of one input that wait.
+    /// Maximum of waiting messages of one input.
     fn queue_size(&self) -> usize;
 
-    /// Makes room for so many inputs, all empty.
+    /// Starts with this number of inputs, all empty, and reserves their memory.
     fn start(&mut self, inputs: usize);
 
-    /// A message has come.
+    /// Handles the stamp of a message that has arrived.
     fn arrived(&mut self, input: usize, stamp_ns: i64) -> Arrival;
 
-    /// Decides on what has come. It calls `drop` for each input whose oldest message is to be dropped, in this order; `true`: the
-    /// oldest messages of all inputs are a set, which is to be taken; then it is to be called again.
+    /// Decides on the messages that have arrived. Calls `drop` for each input whose oldest message is to be dropped, in this order;
+    /// `true`: the oldest messages of all inputs are a set, which the caller takes before it calls this again.
     fn decide(&mut self, drop: &mut dyn FnMut(usize)) -> bool;
 
-    /// Forgets all that waits.
+    /// Removes all waiting messages.
     fn clear(&mut self);
 }
 

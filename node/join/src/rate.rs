@@ -73,7 +73,7 @@ impl<C, S: LatestInputs> RateSynchronizer<C, S> {
 }
 
 impl<C: FnMut() -> i64 + Unpin, S: LatestInputs> RateSynchronizer<C, S> {
-    /// Takes one message of some input, in turns: what it makes.
+    /// Takes one message, from the inputs in turns. Returns the set that it makes, if any.
     fn poll_arrival(&mut self, context: &mut Context<'_>) -> Poll<Option<Option<S::All>>> {
         let (mut is_over, mut ended) = (false, 0);
         for step in 0..S::COUNT {

@@ -17,17 +17,17 @@ pub struct Room {
 
 /// A stream that can be joined with others.
 pub trait Source: Stream + Unpin {
-    /// What errors call it, such as its topic.
+    /// The source's name in errors, such as its topic.
     fn name(&self) -> String {
         "an input".to_owned()
     }
 
-    /// What it has room for. By default it holds whatever is wanted, and is looked at 1,000 times in one go.
+    /// The source's limits. By default it holds any number of items, and at most 1,000 are taken at once.
     fn room(&self) -> Room {
         Room { held: usize::MAX, depth: 1_000 }
     }
 
-    /// Takes the next item if there is one, without being woken for what comes later, and without a job for it: what is read beside
+    /// Takes the next item if there is one, without a wake-up for later items, and without a job for it: an item that is read beside
     /// a trigger has no response time of its own.
     fn try_next(&mut self) -> Option<Self::Item> {
         match self.poll_next_unpin(&mut Context::from_waker(Waker::noop())) {
@@ -36,7 +36,7 @@ pub trait Source: Stream + Unpin {
         }
     }
 
-    /// The item that came last is dealt with: where it is a job, that one ends. Otherwise it ends with the next poll.
+    /// Ends the job of the last item, if it has one: the item has been handled. Otherwise the job ends with the next poll.
     fn finish(&mut self) {}
 }
 

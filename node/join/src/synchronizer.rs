@@ -73,7 +73,7 @@ impl<P: Policy, S: SynchronizerInputs> Synchronizer<P, S> {
         self.counters.clone()
     }
 
-    /// Takes one message of some input, in turns.
+    /// Takes one message, from the inputs in turns.
     fn poll_arrival(&mut self, context: &mut Context<'_>) -> Poll<Option<()>> {
         let (mut has_ended, mut ended) = (false, 0);
         for step in 0..S::COUNT {
@@ -95,7 +95,7 @@ impl<P: Policy, S: SynchronizerInputs> Synchronizer<P, S> {
         if has_ended || ended == S::COUNT { Poll::Ready(None) } else { Poll::Pending }
     }
 
-    /// Puts the message that has come from `input` where it belongs.
+    /// Queues, refuses or drops the message that has arrived from `input`, as the policy decides.
     fn put(&mut self, input: usize, stamp_ns: i64) {
         self.counters.of(input, |c| &c.received);
         if stamp_ns < self.newest_ns[input].saturating_sub(self.time_jump_ns) {
@@ -124,7 +124,7 @@ impl<P: Policy, S: SynchronizerInputs> Synchronizer<P, S> {
         }
     }
 
-    /// The next set, if there is one among what waits.
+    /// The next set, if there is one among the waiting messages.
     fn decide(&mut self) -> Option<S::Items> {
         let (queues, counters) = (&mut self.queues, &*self.counters);
         let mut drop = |input| {
@@ -152,7 +152,7 @@ impl<P: Policy + Unpin, S: SynchronizerInputs> Stream for Synchronizer<P, S> {
             if taken == most {
                 break;
             }
-            // All sets that the message which came last completes are dealt with.
+            // All sets that the last message completes were delivered.
             let last = (synchronizer.turn + S::COUNT - 1) % S::COUNT;
             S::queue(&mut synchronizer.queues, last).finish();
             match synchronizer.poll_arrival(context) {
@@ -168,7 +168,7 @@ impl<P: Policy + Unpin, S: SynchronizerInputs> Stream for Synchronizer<P, S> {
 
 /// Tuples of 2 to 9 [`Stamped`] sources.
 pub trait SynchronizerInputs: sealed::Tuple {
-    /// One message of each.
+    /// One message of each input.
     type Items;
 }
 
@@ -273,7 +273,7 @@ macro_rules! tuple {
             fn queue(queues: &mut Self::Queues, input: usize) -> &mut dyn Queue {
                 match input {
                     $($place => &mut queues.$place,)*
-                    // Never: inputs are counted.
+                    // Unreachable: inputs are numbered below `COUNT`.
                     _ => &mut queues.0,
                 }
             }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Whose the files of a domain are, and how long those of the dead stay.
+//! Finds the owners of a domain's files, and measures how long files of dead processes stay.
 
 use crate::Result;
 use crate::place::entries;
@@ -19,18 +19,18 @@ use tautline_rt::ThreadTime;
 use tautline_rt::domain::shared_path;
 use tautline_rt::host::steal_ticks;
 
-/// Files that belong to all members together.
+/// Files that belong to all participants together.
 const COMMON: [&str; 2] = ["domain", "warden"];
 
-/// The process that a file says it is of.
+/// The process that a file names as its owner.
 fn owner(path: &Path) -> Option<u32> {
-    // Opening a pipe would wait.
+    // Opening a pipe would block.
     if !std::fs::symlink_metadata(path).is_ok_and(|data| data.is_file()) {
         return None;
     }
     let mut head = [0; 40];
     let read = File::open(path).and_then(|file| file.read_at(&mut head, 0)).unwrap_or(0);
-    // As the files of participants, of traces and of statistics begin.
+    // The first bytes of the files of participants, of traces and of statistics.
     let at = match &head[..8] {
         b"tautpart" => 12,
         b"tauttrac" => 16,
@@ -41,12 +41,12 @@ fn owner(path: &Path) -> Option<u32> {
     (read >= at + 4 && pid != 0).then_some(pid)
 }
 
-/// The inodes that somebody has locked, and who.
+/// The locked inodes, each with the process that holds the lock.
 fn locks() -> BTreeMap<u64, u32> {
     let text = std::fs::read_to_string("/proc/locks").unwrap_or_default();
     let lock = |line: &str| {
         let words: Vec<_> = line.split_whitespace().collect();
-        // Not those that wait: `->`.
+        // Lines of waiting processes, with `->`, are filtered below.
         let place = words.iter().position(|word| *word == "FLOCK")?;
         let inode = words.get(place + 4)?.rsplit(':').next()?.parse().ok()?;
         Some((inode, words.get(place + 3)?.parse().ok()?))
@@ -65,7 +65,7 @@ pub fn warden(domain: u32) -> Option<u32> {
     locks().get(&inode).copied()
 }
 
-/// Files that belong to this process, which has died; or to none that lives, as one that was killed while it made them.
+/// Files that belong to this process, which has died, or to no living process, because theirs was killed while it created them.
 pub fn of_dead(domain: u32, pid: u32) -> Vec<PathBuf> {
     let locks = locks();
     let inode = |path: &Path| std::fs::metadata(path).map(|data| data.ino()).ok();
@@ -92,10 +92,10 @@ fn is_of_living(path: &Path) -> bool {
     }
 }
 
-/// That the folder went with the last one of its domain.
+/// Checks that the folder was removed with the last process of its domain.
 ///
 /// # Errors
-/// It stays; says what is in it.
+/// The folder still exists; the error lists its content.
 pub fn has_gone(domain: u32) -> Result<()> {
     match shared_path(domain).exists() {
         true => Err(format!("all have left or died, and the folder stays, {}", listing(domain)).into()),
@@ -103,7 +103,7 @@ pub fn has_gone(domain: u32) -> Result<()> {
     }
 }
 
-/// What is in the folder of a domain, for whoever looks for the cause of a failure.
+/// The content of a domain's folder, to find the cause of a failure.
 pub fn listing(domain: u32) -> String {
     let locks = locks();
     let mut paths = entries(&shared_path(domain));
@@ -121,21 +121,21 @@ pub fn listing(domain: u32) -> String {
     text
 }
 
-/// Time that a hypervisor took, of all cores together.
+/// Steal of all cores together.
 pub fn stolen() -> Duration {
     Duration::from_millis(10 * steal_ticks(None))
 }
 
-/// For how long a thread was ready to run, and others ran.
+/// The time for which a thread was ready to run, and others ran.
 pub fn waited(tid: u32) -> Duration {
     Duration::from_nanos(ThreadTime::of(tid).unwrap_or_default().waited_ns)
 }
 
-/// Time in which a cleanup, and this program's notice of it, did not get a core, up to some moment.
+/// The time, up to some moment, for which a cleanup, or the detection of it by this program, did not get a core.
 #[derive(Clone, Copy, Debug)]
 struct Delays {
     stolen: Duration,
-    /// The warden's process, and what its thread has waited.
+    /// The warden's process, and the time for which its thread has waited.
     warden: Option<(u32, Duration)>,
     watch: Duration,
 }
@@ -151,7 +151,7 @@ impl Delays {
         Delays { stolen: stolen(), warden: warden(domain).map(waited_by), watch: waited(watch) }
     }
 
-    /// Since an earlier moment. Whoever has become the warden since then may have waited before, too.
+    /// The delays since an earlier moment. A process that has become the warden since then may have waited before, too.
     fn since(&self, before: &Self) -> Duration {
         let warden = match (self.warden, before.warden) {
             (Some((pid, now)), Some((same, before))) if pid == same => now.saturating_sub(before),
@@ -166,13 +166,13 @@ impl Delays {
 pub struct Stay {
     pub worst: Duration,
     pub files: usize,
-    /// Those that stayed longer than they may, and for how long whoever cleans up after them had a core, or could have had one.
+    /// Files that stayed longer than the limit, and the time for which their cleanup had a core, or could have had one.
     pub late: Vec<(PathBuf, Duration)>,
 }
 
 #[derive(Default)]
 struct State {
-    /// Files of the dead, since when, and the delays by then.
+    /// Files of dead processes, with the time of death, and the delays by then.
     dead: BTreeMap<PathBuf, (Instant, Delays)>,
     stay: Stay,
 }
@@ -218,7 +218,7 @@ impl Watch {
         Ok(Watch { domain, limit, state, stop, tid: tid.recv()?, thread: Some(thread) })
     }
 
-    /// Has a process die: when `kill` returns it has, and its files are unlocked. Some may be gone by then, and count, too.
+    /// Records a process's death: when `kill` returns it is dead, and its files are unlocked. Files that are removed by then count, too.
     pub fn dies(&self, pid: u32, kill: impl FnOnce() -> Result<()>) -> Result<()> {
         let now = || (Instant::now(), Delays::read(self.domain, self.tid));
         let own: Vec<PathBuf> = files(self.domain).filter(|path| owner(path) == Some(pid)).collect();
@@ -246,10 +246,10 @@ impl Watch {
                 return true;
             }
             if !path.exists() {
-                // It is about to be heard of.
+                // The event of its removal is about to arrive.
                 return since.elapsed() <= patience;
             }
-            // Not one that was taken for a dead one's while its owner made it.
+            // Not a file that was taken for a dead process's while its owner created it.
             let stays = !is_of_living(path);
             if stays && since.elapsed() > patience {
                 hanging.push(path.clone());
@@ -266,7 +266,7 @@ impl Watch {
         lock(&self.state).dead.is_empty()
     }
 
-    /// So far, and begins anew.
+    /// Returns and resets the counts.
     pub fn take(&self) -> Stay {
         std::mem::take(&mut lock(&self.state).stay)
     }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Looks at the domain as a newcomer does: asks for the graph, joins, makes topics, gets what was kept.
+//! Checks the domain as a newcomer: reads the graph, joins, creates topics, receives messages as a late joiner.
 
 use crate::Result;
 use crate::process::{PATIENCE, Said, answer, say, told};
@@ -12,17 +12,17 @@ use tautline::{Context, Limits};
 use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{Participant, Qos, Subscription, graph_of};
 
-/// What somebody sees who joins nothing.
+/// The graph as a visitor reads it.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Graph {
     pub took: Duration,
     pub nodes: usize,
     pub ends: usize,
-    /// What belongs to the process that was asked for.
+    /// Nodes and endpoints of the requested process.
     pub of_process: usize,
 }
 
-/// A new participant made a topic and got an answer: how long that took since it began, step by step.
+/// The times that a new participant took from its start to each step, until it had created a topic and received an answer.
 #[derive(Debug, Default, Serialize, Deserialize)]
 pub struct Met {
     pub joined: Duration,
@@ -31,16 +31,16 @@ pub struct Met {
     pub answered: Duration,
 }
 
-/// A late joiner got what had been kept.
+/// The messages that a late joiner received.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Late {
     pub took: Duration,
-    /// Messages that were there when it began to join.
+    /// Received messages that were published before it began to join.
     pub kept: usize,
-    /// How many it was to get at least.
+    /// The minimum of messages that it had to receive.
     pub expected: usize,
     pub lost: u64,
-    /// Missing between those that it got.
+    /// Sequence numbers that are missing between the received ones.
     pub missing: u64,
 }
 
@@ -95,7 +95,7 @@ fn meet(domain: u32) -> Result<Met> {
             if met.matched.is_zero() {
                 met.matched = start.elapsed();
             }
-            // Whoever was to answer may have been killed.
+            // Repeated, because the process that was to answer may have been killed.
             if next <= Instant::now() {
                 pings.publish(&UInt64 { data: token })?;
                 next = Instant::now() + Duration::from_millis(5);
@@ -123,7 +123,7 @@ fn late(domain: u32) -> Result<Late> {
         while let Some(sample) = subscription.try_take()? {
             let info = sample.info();
             if info.released_ns >= start_ns {
-                // All that was there before has come.
+                // All earlier messages have arrived.
                 let took = start.elapsed();
                 let meanwhile = (info.released_ns - start_ns) / KEPT_PERIOD.as_nanos() as u64;
                 let connecting = took.as_nanos() as u64 / KEPT_PERIOD.as_nanos() as u64;

@@ -1,20 +1,20 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What do processes see of others that are killed? Nothing may hang, stay behind, or be lost without being counted.
+//! Tests what other processes see of killed ones. Nothing may hang, be left behind, or be lost without being counted.
 //!
-//! This program starts itself again: the processes that are killed and those that live on are its parts.
+//! This program starts itself again: the killed processes and the surviving ones are its parts.
 //!
 //! | module | holds |
 //! |---|---|
-//! | `random` | processes with every kind of end, killed at random instants and replaced |
+//! | `random` | processes with every kind of endpoint, killed at random instants and replaced |
 //! | `actors` | those processes |
-//! | `survivors` | the processes that live on beside them, and count |
+//! | `survivors` | the processes that are not killed, and count messages |
 //! | `syscalls` | scenarios in which one process is killed before and after each of its system calls |
 //! | `scenes` | those scenarios, process by process |
 //! | `tracer` | counts system calls, and kills |
-//! | `inspector` | looks at the domain as a newcomer does |
-//! | `folder` | whose the files of the domain are, and how long those of the dead stay |
-//! | `process` | a part's process, as whoever started it sees it |
-//! | `place` | the scope and the domain that all of it is in |
+//! | `inspector` | checks the domain as a newcomer |
+//! | `folder` | owners of the domain's files, and how long files of dead processes stay |
+//! | `process` | a part's process, as its parent sees it |
+//! | `place` | the scope of all of them |
 
 mod actors;
 mod folder;
@@ -30,7 +30,7 @@ mod tracer;
 use clap::{Args, Parser, Subcommand};
 use std::process::ExitCode;
 
-/// What nobody handles but the person who reads it.
+/// A result whose error is only printed.
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error + Send + Sync>>;
 
 /// Kills processes, and looks what the others see of it.
@@ -91,7 +91,7 @@ fn main() -> ExitCode {
 }
 
 fn play(part: &Part) -> Result<()> {
-    // Whoever starts it may be killed, too.
+    // The parent may be killed, too.
     rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::KILL))?;
     let (kind, name) = part.name.split_once('-').unwrap_or((&part.name, ""));
     match kind {

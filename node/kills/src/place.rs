@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A scope of this run's own, which is removed with what is in it.
+//! A scope of this run's own, which is removed with its content.
 
 use crate::Result;
 use std::collections::BTreeSet;
@@ -8,17 +8,17 @@ use tautline_rt::domain::{kept_folder, set_scope};
 
 const SCOPE: &str = "kills";
 
-/// What this run may leave nothing in.
+/// The folders in which this run may leave nothing.
 const FOLDERS: [&str; 2] = ["/dev/shm", "/tmp"];
 
-/// The scope. Removes what is left in it when it is dropped; what is left when all have ended is a defect: see [`check`](Self::check).
+/// The scope. Removes its files when it is dropped; files that are left when all have ended are a defect: see [`check`](Self::check).
 pub struct Place {
     scope: String,
     before: BTreeSet<PathBuf>,
 }
 
 impl Place {
-    /// Puts this process, and those that it starts, into a scope of its own, and removes those of runs that were killed.
+    /// Puts this process, and those that it starts, into a scope of their own, and removes the scopes of runs that were killed.
     pub fn new() -> Result<Self> {
         let mark = format!(".{SCOPE}");
         for path in FOLDERS.iter().flat_map(|folder| entries(Path::new(folder))) {
@@ -32,8 +32,8 @@ impl Place {
         Ok(Place { scope, before: all() })
     }
 
-    /// Looks whether anything of this run is left, now that all of its processes have ended. Definitions of types are kept for tools
-    /// on purpose: only whole ones.
+    /// Checks that nothing of this run is left, after all of its processes have ended. Definitions of types are kept for tools
+    /// on purpose, but only complete ones.
     pub fn check(&self) -> Result<()> {
         let kept = kept_folder();
         let halves = entries(&kept.join("schemas"))
@@ -45,7 +45,7 @@ impl Place {
         if left.is_empty() { Ok(()) } else { Err(format!("left behind: {left:?}").into()) }
     }
 
-    /// Others may run beside this, in scopes of theirs.
+    /// Whether a file belongs to this run: other runs may have scopes of their own at the same time.
     fn is_ours(&self, path: &Path) -> bool {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         name.ends_with(&self.scope)
@@ -72,6 +72,6 @@ fn all() -> BTreeSet<PathBuf> {
 }
 
 fn remove(path: &Path) {
-    // What cannot be removed is another user's.
+    // Ignored: a file that cannot be removed is another user's.
     let _ = if path.is_dir() { std::fs::remove_dir_all(path) } else { std::fs::remove_file(path) };
 }

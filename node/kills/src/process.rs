@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A part's process, as whoever started it sees it; and what the part says.
+//! A part's process, as its parent sees it; and the messages of the part.
 
 use crate::Result;
 use serde::de::DeserializeOwned;
@@ -15,14 +15,14 @@ use std::thread;
 use std::time::{Duration, Instant};
 use tautline_rt::domain::scope;
 
-/// Longest time that anything is waited for: what takes longer hangs.
+/// The longest wait: an operation that takes longer hangs.
 pub const PATIENCE: Duration = Duration::from_secs(20);
-/// An end that nobody uses keeps what it saw last: so many files of processes that have died since then.
+/// Maximum of mapped files of dead processes: an endpoint that is not used keeps the mappings of its last use.
 pub const HELD_BY_IDLE: usize = 32;
-/// How much of what all parts complain about is kept.
+/// Number of lines of all parts' standard error that are kept.
 const LINES: usize = 200;
 
-/// What parts write to standard error, the last of it.
+/// The last lines that parts wrote to standard error.
 #[derive(Clone)]
 pub struct Complaints {
     lines: Arc<Mutex<VecDeque<String>>>,
@@ -46,21 +46,21 @@ impl Complaints {
         Ok(Complaints { lines, pipe: Arc::new(writer) })
     }
 
-    /// For whoever looks for the cause of a failure.
+    /// The lines, to find the cause of a failure.
     pub fn text(&self) -> String {
-        // What was written a moment ago.
+        // Waits for lines that were written a moment ago.
         thread::sleep(Duration::from_millis(50));
         let heading = "what the processes said last:\n".to_owned();
         lock(&self.lines).iter().fold(heading, |text, line| text + "  " + line + "\n")
     }
 }
 
-/// Also if whoever had it panicked.
+/// Locks a mutex, also if its holder panicked.
 pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Where parts of this program play: a domain in this process's scope.
+/// The domain in this process's scope in which parts of this program run.
 #[derive(Clone)]
 pub struct Stage {
     pub domain: u32,
@@ -88,11 +88,11 @@ impl Stage {
     }
 }
 
-/// A part that is talked with, a line at a time. Killed when it is dropped.
+/// A part that exchanges lines with this process. Killed when it is dropped.
 pub struct Process {
     name: String,
     child: Child,
-    /// Somebody else has seen its end.
+    /// Whether its exit status was already waited for.
     is_reaped: bool,
     input: Option<ChildStdin>,
     lines: Receiver<String>,
@@ -133,7 +133,7 @@ impl Process {
         }
     }
 
-    /// The next line that it says in so long, unless it ends before.
+    /// The next line that it writes within `patience`, unless it ends before.
     pub fn hear_within(&mut self, patience: Duration) -> Option<Said> {
         let line = self.lines.recv_timeout(patience).ok()?;
         serde_json::from_str(&line).ok()
@@ -146,7 +146,7 @@ impl Process {
         }
     }
 
-    /// Tells it what to do, and waits until that is done.
+    /// Sends it a command, and waits until the command is done.
     pub fn order(&mut self, what: &str) -> Result<()> {
         self.tell(what)?;
         self.expect_ready()
@@ -160,7 +160,7 @@ impl Process {
         }
     }
 
-    /// Why it says nothing: what its threads do.
+    /// The reason why it writes nothing: its exit status, or where its threads wait.
     fn silence(&mut self, error: &str) -> String {
         match self.child.try_wait() {
             Ok(Some(status)) if !self.is_reaped => format!("the {} has ended: {status}", self.name),
@@ -195,7 +195,7 @@ impl Process {
         }
     }
 
-    /// Whoever traced it has seen its end.
+    /// Records that its tracer has waited for its exit status.
     pub fn was_reaped(&mut self) {
         self.is_reaped = true;
     }
@@ -217,7 +217,7 @@ impl Process {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Holdings {
     pub files: usize,
-    /// What it has mapped of files that were removed.
+    /// Mapped files that were removed.
     pub removed: BTreeSet<String>,
 }
 
@@ -229,13 +229,13 @@ impl Drop for Process {
     }
 }
 
-/// Kills a child that was not waited for.
+/// Kills a child whose exit status was not waited for.
 pub fn kill(pid: u32) -> Result<()> {
     let pid = rustix::process::Pid::from_raw(pid.cast_signed()).ok_or("no process")?;
     Ok(rustix::process::kill_process(pid, rustix::process::Signal::KILL)?)
 }
 
-/// What the threads of a process wait in.
+/// The system calls and kernel functions in which the threads of a process wait.
 pub fn threads(pid: u32) -> String {
     let read = |path: &Path, file: &str| {
         std::fs::read_to_string(path.join(file)).map(|text| text.trim().to_owned()).unwrap_or_default()
@@ -257,7 +257,7 @@ pub enum Said {
     At(String),
 }
 
-/// For a part: says it to whoever started it.
+/// For a part: sends a message to its parent.
 pub fn say(said: &Said) {
     let line = serde_json::to_string(said).unwrap_or_default();
     println!("{line}");
@@ -271,7 +271,7 @@ pub fn answer(answer: &impl Serialize) {
     });
 }
 
-/// For a part: what it is told, until whoever started it has gone or wants it to end.
+/// For a part: the commands of its parent, until the parent has ended or closes the pipe.
 pub fn told() -> impl Iterator<Item = String> {
     std::io::stdin().lines().map_while(std::io::Result::ok)
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Processes with every kind of end, each killed at a random instant and replaced. Most of the time survivors run beside them, and
-//! count; in between nobody does who is safe, and whoever is the warden is killed.
+//! Processes with every kind of endpoint, each killed at a random instant and replaced. Most of the time survivors run beside them, and
+//! count messages; in between there are no survivors, and the warden is killed, too.
 
 use crate::actors::{self, Role};
 use crate::folder::{self, Watch};
@@ -18,18 +18,18 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 const DOMAIN: u32 = 0;
-/// An actor lives at most so long.
+/// Maximum lifetime of an actor.
 const LIFE: Duration = Duration::from_millis(80);
-/// Within this the graph answers, and a new participant has made a topic and got a message through it.
+/// Time limit for reading the graph, and for a new participant to create a topic and receive a message on it.
 const ANSWER: Duration = Duration::from_millis(100);
-/// So long 99 of 100 files of the dead may stay, without the time in which others had the core that their cleanup was to run on.
+/// Time limit for 99 of 100 files of dead processes to stay, without the time for which others had the core that their cleanup needed.
 const STAY: Duration = Duration::from_millis(50);
-/// And the others.
+/// The same limit for the other files.
 const STAY_LATE: Duration = Duration::from_millis(500);
 const CHECK_EVERY: usize = 100;
-/// Answers newcomers.
+/// The part that answers newcomers.
 const ECHO: &str = "survivor-echo";
-/// Checks with survivors before there is one without.
+/// Number of checks with survivors before one without.
 const CHECKS_WITH_SURVIVORS: usize = 4;
 /// Processes that live until they are the warden, when there are no survivors.
 const IDLE: usize = 2;
@@ -117,7 +117,7 @@ struct Actor {
 }
 
 impl Actor {
-    /// Kills it, and what it leaves is watched from now on.
+    /// Kills the actor; the files that it leaves are watched from now on.
     fn kill(mut self, watch: &Watch) -> Result<()> {
         watch.dies(self.child.id(), || {
             self.child.kill()?;
@@ -197,7 +197,7 @@ impl Run {
         }
         let watch = Watch::start(DOMAIN, STAY)?;
         self.kill(kills, &watch, false, &mut idle)?;
-        // All at once: nobody is left to clean up.
+        // Kills all at once, so that no process is left to clean up.
         let pids: Vec<u32> = idle.iter().map(|idle| idle.process.id()).collect();
         for pid in self.actors.iter().map(|actor| actor.child.id()).chain(pids) {
             kill(pid)?;
@@ -210,7 +210,7 @@ impl Run {
         next.finish()
     }
 
-    /// Kills actors, each when its time has come, and replaces them; checks after each hundred.
+    /// Kills actors, each when it is due, and replaces them; checks after each hundred.
     fn kill(&mut self, kills: usize, watch: &Watch, has_survivors: bool, idle: &mut [Idle]) -> Result<()> {
         while self.actors.len() < self.wanted {
             let actor = self.start_actor()?;
@@ -224,7 +224,7 @@ impl Run {
                 None => self.kill_next(watch),
             };
             if killed.is_err() {
-                // The inspector ends with what it returns, before its folder does.
+                // The inspector ends with the thread's result, before its folder is removed.
                 drop(looking.join());
                 return killed;
             }
@@ -237,7 +237,7 @@ impl Run {
         self.note(looking, watch)?.finish()
     }
 
-    /// The idle process that is the warden, if the others can take its place.
+    /// The index of the idle process that is the warden, if the others can replace it.
     fn is_warden(&mut self, idle: &mut [Idle]) -> Option<usize> {
         for idle in idle.iter_mut().filter(|idle| !idle.is_ready) {
             idle.is_ready = idle.process.hear_within(Duration::ZERO).is_some();
@@ -274,7 +274,7 @@ impl Run {
         Ok(())
     }
 
-    /// Judges what the inspector found, once it has; it can look again then.
+    /// Waits for the inspector's result and checks it. Returns the inspector for the next check.
     fn note(&mut self, looking: Looking, watch: &Watch) -> Result<Process> {
         let (inspector, hundred) = looking.join().map_err(|_| "the inspection panicked")??;
         let Some(hundred) = hundred else { return Ok(inspector) };
@@ -331,16 +331,16 @@ struct Hundred {
     graph: Graph,
     met: Met,
     late: Option<Late>,
-    /// For how long the inspector got no core meanwhile.
+    /// The time for which the inspector got no core meanwhile.
     delay: Duration,
 }
 
-/// The inspector looks while others are killed.
+/// A check by the inspector, which runs while other processes are killed.
 type Looking = JoinHandle<Result<(Process, Option<Hundred>)>>;
 
 fn look(mut inspector: Process, kills: usize, has_survivors: bool) -> Result<(Process, Option<Hundred>)> {
     let pid = inspector.id();
-    // Its first thread does all of it.
+    // The inspector's first thread does all of the work.
     let delays = || folder::stolen() + folder::waited(pid);
     let before = delays();
     let (graph, met) = (inspector.ask("graph")?, inspector.ask("meet")?);
@@ -361,7 +361,7 @@ impl Survivors {
         [&self.subscription, &self.publisher, &self.server, &self.client]
     }
 
-    /// What was sent has come, or is counted.
+    /// Checks that each message that was sent has arrived, or is counted as lost.
     fn check_messages(&mut self) -> Result<()> {
         let sent: Sent = self.publisher.ask("stop")?;
         let mut received = Received::default();
@@ -396,7 +396,7 @@ impl Survivors {
         if is_right { Ok(()) } else { Err(format!("lost uncounted: {received:?} of {sent:?}").into()) }
     }
 
-    /// What was asked has been answered, or ended with an error.
+    /// Checks that each request was answered, or ended with an error.
     fn check_answers(&mut self) -> Result<()> {
         let asked: Asked = self.client.ask("stop")?;
         for (name, answers) in &asked {
@@ -423,7 +423,7 @@ fn check_answers(asked: &Asked) -> Result<()> {
                 format!("{name}: not answered, or with the answer to something else: {answers:?}").into()
             );
         }
-        // A server of /add lives all the time; only an actor's may have a full queue.
+        // One server of /add always lives; only an actor's server may have a full queue.
         let may_end = |error: &str| error == FULL || name != ADD && OF_SERVERS_THAT_GO.contains(&error);
         if let Some(error) = answers.errors.keys().find(|error| !may_end(error)) {
             return Err(format!("{name}: a request ended with {error}").into());

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Scenes in which one process is killed at each of its system calls, and a friend of it lives on.
+//! Scenes in which one process is killed at each of its system calls, and another process, its friend, survives.
 
 use crate::Result;
 use crate::inspector::Met;
@@ -50,7 +50,7 @@ pub fn play(name: &str) -> Result<()> {
         _ => {}
     }
     let mut commands = told();
-    // From here on it is followed.
+    // From here on the process is traced.
     commands.next();
     match name {
         "ends" => ends(domain),
@@ -60,7 +60,7 @@ pub fn play(name: &str) -> Result<()> {
     }
 }
 
-/// Waits for what another process does; not for ever.
+/// Waits for a condition that another process fulfils, with a time limit.
 fn until(what: &str, is_so: impl FnMut() -> Result<bool>) -> Result<()> {
     wait(what, PATIENCE / 2, is_so)
 }
@@ -81,12 +81,12 @@ fn client(participant: &Participant, service: &str) -> Result<Client<AddTwoInts:
     Ok(participant.create_client(service, Limits::default())?)
 }
 
-/// Answers what was asked; how much that was.
+/// Answers the waiting requests. Returns their number.
 fn serve(server: &mut Server<AddTwoInts::Service>) -> Result<usize> {
     let mut count = 0;
     while let Some(request) = server.try_take()? {
         let sum = request.a + request.b;
-        // Who asked may have gone.
+        // The client may have ended.
         let _ = server.respond(request.id(), &AddTwoInts::Response { sum });
         count += 1;
     }
@@ -168,7 +168,7 @@ fn warden(domain: u32, mut commands: impl Iterator<Item = String>) -> Result<()>
     Ok(())
 }
 
-/// Joins when it is told to, sends something to the warden, and is killed.
+/// Joins on command, sends a message to the warden, and is killed.
 fn be_victim(domain: u32) -> Result<()> {
     let mut commands = told();
     if commands.next().is_none() {
@@ -183,7 +183,7 @@ fn be_victim(domain: u32) -> Result<()> {
     Ok(())
 }
 
-/// Whoever lives on: sends, takes, asks and answers all the time.
+/// The endpoints of the surviving process, which sends, takes, requests and answers all the time.
 struct Ends {
     participant: Participant,
     numbers: Publisher<UInt64>,
@@ -245,7 +245,7 @@ impl Ends {
         Ok(())
     }
 
-    /// A new publisher and a new subscription, and a message between them.
+    /// Creates a publisher and a subscription, and passes a message between them.
     fn meet(&self) -> Result<Met> {
         let (start, mut met) = (Instant::now(), Met::default());
         let subscription = subscription(&self.participant, "/friend/fresh", Qos::default())?;
@@ -276,7 +276,7 @@ fn be_friend(domain: u32) -> Result<()> {
             }
             Ok("has_joined") => answer(&ends.is_some()),
             Ok("meet") => answer(&ends.as_ref().ok_or("it has not joined")?.meet()?),
-            // How long a subscription that takes nothing any more has kept it from publishing.
+            // The time for which a subscription that takes nothing any more has kept the friend from publishing.
             Ok("full") => {
                 let full_since = ends.as_ref().and_then(|ends| ends.full_since);
                 answer(&full_since.map_or(Duration::ZERO, |since| since.elapsed()));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The processes that live on beside those that are killed. What they send each other arrives, or is counted as lost; what they ask is
-//! answered, or ends with an error.
+//! The processes that survive beside those that are killed. Their messages to each other arrive, or are counted as lost; their requests
+//! are answered, or end with an error.
 
 use crate::Result;
 use crate::process::{Said, answer, lock, say, told, wait};
@@ -21,20 +21,20 @@ use tautline::{
 };
 use tautline_transport::{EndpointKind, graph_of};
 
-/// From one survivor to the other; actors only subscribe.
+/// Messages from one survivor to the other; actors only subscribe.
 pub const NUMBERS: &str = "/survivors/numbers";
 /// Actors publish here, too.
 pub const SHARED: &str = "/survivors/shared";
 /// Keep-all: an actor that takes nothing stops the publisher as long as it lives.
 pub const ALL: &str = "/survivors/all";
-/// For late joiners.
+/// Transient local, for late joiners.
 pub const KEPT: &str = "/survivors/kept";
-/// Survivors answer here what newcomers send there.
+/// Newcomers send on the first topic, and survivors answer on the second one.
 pub const PING: &str = "/survivors/ping";
 pub const PONG: &str = "/survivors/pong";
-/// A survivor serves it, and actors do.
+/// Served by a survivor, and by actors.
 pub const ADD: &str = "/survivors/add";
-/// Actors alone serve these.
+/// Served by actors only.
 pub const ACTORS_ADD: &str = "/actors/add";
 pub const ACTORS_FIBONACCI: &str = "/actors/fibonacci";
 /// The node with parameters that actors set.
@@ -43,7 +43,7 @@ pub const PARAMETERS: &str = "/survivor_server";
 pub const KEPT_DEPTH: usize = 10;
 pub const KEPT_PERIOD: Duration = Duration::from_millis(10);
 
-/// What takes longer hangs: no actor lives as long.
+/// An operation that takes longer hangs: no actor lives as long.
 const PATIENCE: Duration = Duration::from_secs(5);
 
 pub const NUMBERS_QOS: Qos = Qos::keep_last(2000);
@@ -55,7 +55,7 @@ pub struct Sent {
     pub numbers: u64,
     pub shared: u64,
     pub all: u64,
-    /// Longest time that some actor's full queue stopped the keep-all topic.
+    /// The longest time for which an actor's full queue stopped the keep-all topic.
     pub longest_full_ms: u64,
 }
 
@@ -70,13 +70,13 @@ pub struct Received {
 pub struct Count {
     pub received: u64,
     pub lost: u64,
-    /// Missing in the numbers of each publisher.
+    /// Sequence numbers that are missing, of each publisher.
     pub missing: u64,
-    /// Came out of order, or twice.
+    /// Messages that arrived out of order, or twice.
     pub disordered: u64,
 }
 
-/// What became of requests and goals, by service.
+/// The outcomes of requests and goals, by service.
 pub type Asked = BTreeMap<String, Answers>;
 
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -85,9 +85,9 @@ pub struct Answers {
     pub answered: u64,
     pub errors: BTreeMap<String, u64>,
     pub slowest_ms: u64,
-    /// Neither an answer nor an error.
+    /// Requests with neither an answer nor an error.
     pub hung: u64,
-    /// The answer to something else.
+    /// Requests with the answer to another request.
     pub wrong: u64,
 }
 
@@ -122,7 +122,7 @@ pub fn spin(context: &Context) -> Spinning {
 impl Drop for Spinning {
     fn drop(&mut self) {
         self.context.shutdown();
-        // Before the process ends the thread gives its part of the context back.
+        // The thread releases its part of the context before the process ends.
         let _ = self.thread.take().map(JoinHandle::join);
     }
 }
@@ -158,7 +158,7 @@ fn publisher(context: &Context) -> Result<()> {
     say(&Said::Ready);
     let stop = Arc::new(AtomicBool::new(false));
     let mut commands = told();
-    // Told to go when the subscription is there.
+    // The first command starts it, when the subscription exists.
     commands.next();
     let publish = {
         let stop = stop.clone();
@@ -195,15 +195,15 @@ fn publisher(context: &Context) -> Result<()> {
                 }
                 thread::sleep(Duration::from_millis(1));
             }
-            // A ring that was lost is not made good by one that comes later: there is none.
+            // Nothing is published any more, so that no later ring can hide a lost one.
             Ok(sent)
         }
     };
     let publishing = thread::spawn(move || {
-        // Said at once, for others notice that it has stopped.
+        // Logged at once, because others notice that it has stopped.
         publish().inspect_err(|error| eprintln!("{}: the publisher: {error}", std::process::id()))
     });
-    // Told to stop.
+    // The second command stops it.
     commands.next();
     stop.store(true, Ordering::Release);
     match publishing.join() {
@@ -215,7 +215,7 @@ fn publisher(context: &Context) -> Result<()> {
     Ok(())
 }
 
-/// A queue is full for so long that no actor's can be it. Whose?
+/// The error for a queue that is full for longer than any actor lives, with the subscriptions that may be the cause.
 fn full(publisher: &Publisher<UInt64>) -> String {
     let ends = || -> Result<Vec<String>> {
         let graph = graph_of(Context::domain_of_environment()?)?;
@@ -230,7 +230,7 @@ fn full(publisher: &Publisher<UInt64>) -> String {
     )
 }
 
-/// What a subscription finds missing itself, by publisher.
+/// Counts the messages that a subscription received, and those that are missing, by publisher.
 #[derive(Default)]
 struct Tally {
     last: HashMap<Gid, u64>,
@@ -283,7 +283,7 @@ fn server(context: &Context) -> Result<()> {
     let serve = requests.for_each(|request| {
         let AddTwoInts::Request { a, b } = request.message;
         if let Err(error) = request.respond(AddTwoInts::Response { sum: a + b }) {
-            // The client's queue is full: of an actor that does not take its answers.
+            // The queue of a client is full, of an actor that does not take its answers.
             eprintln!("{}: {error}", std::process::id());
         }
         async {}
@@ -299,7 +299,7 @@ fn server(context: &Context) -> Result<()> {
     Ok(())
 }
 
-/// Asks one after the other until it is told to stop. `ask` says whether the answer is right.
+/// Sends one request after the other until `stop` is set. `ask` returns whether the answer is right.
 fn ask(
     name: &'static str,
     asked: &Arc<Mutex<Asked>>,
@@ -327,10 +327,10 @@ fn ask(
     })
 }
 
-/// What a server's queue of requests is when it takes none.
+/// The outcome of a request to a server that takes none.
 pub const FULL: &str = "requests full";
 
-/// What may become of a request whose server is killed, or does not want it.
+/// The possible outcomes of a request whose server is killed, or rejects it.
 pub const OF_SERVERS_THAT_GO: [&str; 3] = ["no server", "server gone", "goal rejected"];
 
 fn kind(error: &Error) -> String {
@@ -340,7 +340,7 @@ fn kind(error: &Error) -> String {
         Error::Service(ServiceError::ServerGone { .. }) => gone.into(),
         Error::Service(ServiceError::RequestsFull { .. }) => FULL.into(),
         Error::GoalRejected { .. } => rejected.into(),
-        // Its server went between the two requests.
+        // The server ended between the two requests.
         Error::GoalUnheard { source, .. } => kind(source),
         other => other.to_string(),
     }
@@ -365,7 +365,7 @@ fn client(context: &Context) -> Result<()> {
             Ok(response.sum == 5)
         }));
     }
-    // Each step of a goal by itself: it has no limit of its own.
+    // A goal has no time limit of its own, so an alarm limits all of its steps.
     let clock = node.context().events().clone();
     asking.push(ask(ACTORS_FIBONACCI, &asked, &stop, move || {
         let mut alarm = tautline_sampler::Alarm::new(&clock)?;

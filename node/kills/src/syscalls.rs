@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Each scene again and again, and each time the process in question is killed at another of its system calls: before it, after it, or
-//! a moment later; or it waits there for seconds, and goes on. Then its friend must go on, a newcomer must find everything as it should be, and nothing of it may be left.
+//! Repeats each scene, and each time kills its process at another one of its system calls: before it, after it, or a moment later; or
+//! stalls it there for seconds. Then its friend must go on, a newcomer must find a correct domain, and nothing of the process may be left.
 
 use crate::folder::{has_gone, listing, of_dead, stolen};
 use crate::inspector::{Graph, Met};
@@ -18,13 +18,13 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Within this the graph answers, the friend's new ends and a newcomer's have passed a message, and nobody is kept from publishing.
+/// Time limit for reading the graph, for a message between new endpoints of the friend and of a newcomer, and for a full queue.
 const ANSWER: Duration = Duration::from_millis(100);
-/// So long files of the dead may stay.
+/// Time limit for files of dead processes to stay.
 const STAY: Duration = Duration::from_millis(50);
-/// With so many of its first system calls, and a few more, a process makes the domain that it joins: at every other one of them it waits once.
+/// The number of first system calls with which a process, with a few more, creates the domain that it joins: it stalls at every other one.
 const JOINING: usize = 20;
-/// Each with a domain of its own, at the same time.
+/// Number of domains in which scenes are played at the same time.
 const LANES: u32 = 2;
 
 #[derive(Args, Debug)]
@@ -74,7 +74,7 @@ fn parse(text: &str) -> std::result::Result<Job, String> {
     Ok(Job { scene: Scene::from_str(scene, false)?, point: Point { call, when } })
 }
 
-/// What came of the points of a scene.
+/// The outcomes of the points of a scene.
 #[derive(Clone, Debug, Default)]
 struct Outcome {
     killed: usize,
@@ -131,7 +131,7 @@ pub fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// Which points: each call of each scene, in each way, or so many of them; and those at which it only waits, for seconds.
+/// Selects the points: each call of each scene, in each way, or `options.points` of them; and those at which the process only stalls.
 fn plan(options: &Options, stage: &Stage, random: &mut SmallRng) -> Result<Vec<Job>> {
     let mut all = Vec::new();
     for &scene in Scene::value_variants() {
@@ -153,7 +153,7 @@ fn plan(options: &Options, stage: &Stage, random: &mut SmallRng) -> Result<Vec<J
     if options.all || all.len() <= options.points {
         return Ok(all.into_iter().chain(stalls).collect());
     }
-    // Each `step`th, from a random one on.
+    // Every `step`th point, from a random one on.
     let step = all.len() as f64 / options.points.max(1) as f64;
     let first = random.random_range(0.0..1.0);
     let chosen = (0..options.points).map(|n| all[((n as f64 + first) * step) as usize]);
@@ -168,7 +168,7 @@ fn play(scene: Scene, jobs: &[Job], options: &Options, stage: &Stage) -> Result<
         while let Some(job) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) {
             lane.at = job.to_string();
             if let Err(error) = lane.play(Some(job.point)) {
-                // The others need not go on.
+                // The other lanes need not go on.
                 next.store(jobs.len(), Ordering::Relaxed);
                 let (listing, said, at) = (listing(domain), stage.complaints.text(), &lane.at);
                 return Err(format!("{error}\nat {at}\n{listing}{said}").into());
@@ -189,7 +189,7 @@ struct Lane {
     scene: Scene,
     stage: Stage,
     friend: Process,
-    /// Files that it had open at the start.
+    /// Number of files that the friend had open at the start.
     friends_files: usize,
     inspector: Process,
     outcome: Outcome,
@@ -208,7 +208,7 @@ impl Lane {
         Ok(Lane { scene, stage, friend, friends_files, inspector, outcome, has_limits, at })
     }
 
-    /// Plays the scene once, and looks what it left.
+    /// Plays the scene once, and checks what it left.
     fn play(&mut self, point: Option<Point>) -> Result<End> {
         let mut killed = self.stage.start(&format!("scene-{}", self.scene.name()))?;
         let pid = killed.id();
@@ -218,7 +218,7 @@ impl Lane {
             scope.spawn(move || told.send(tracer::follow(pid, point, &start)));
             killed.was_reaped();
             if started.recv().is_ok() {
-                // It may be killed before it hears that.
+                // The process may be killed before it reads the command.
                 let _ = killed.tell("go");
             }
             let direct = match self.scene {
@@ -248,7 +248,7 @@ impl Lane {
         Ok(end)
     }
 
-    /// The others' parts while the warden plays; returns the victim, if it has died, and when.
+    /// Directs the other processes while the warden plays. Returns the victim, if it has died, and the time of its death.
     fn direct(&mut self, warden: &mut Process) -> Result<Option<(u32, Instant)>> {
         if warden.hear_within(2 * PATIENCE).is_none() {
             return Ok(None);
@@ -258,7 +258,7 @@ impl Lane {
         victim.order("join")?;
         victim.kill()?;
         let died = Some((victim.id(), Instant::now()));
-        // It may have been killed meanwhile.
+        // The warden may have been killed meanwhile.
         let _ = warden.tell("next");
         if warden.hear_within(2 * PATIENCE).is_some() {
             self.friend.order("leave")?;
@@ -279,9 +279,9 @@ impl Lane {
             }
         }
         for (pid, died) in [Some((pid, end.at)), victim].into_iter().flatten() {
-            // Whoever cleans up may have come later.
+            // The process that cleans up may have joined later.
             let since = if self.scene == Scene::Warden { start.max(died) } else { died };
-            // When a look began that found some: one that finds none may have taken long itself.
+            // The start of the last check that found files: the check that finds none may have taken long itself.
             let mut stayed = Duration::ZERO;
             loop {
                 let begin = since.elapsed();
@@ -316,7 +316,7 @@ impl Lane {
         Ok(())
     }
 
-    /// Notes a time, which is to be within its limit and what was stolen.
+    /// Records a time, and checks that it is within its limit plus the steal.
     fn within(
         &mut self,
         limit: Duration,
@@ -338,7 +338,7 @@ impl Lane {
 
     fn finish(mut self) -> Result<()> {
         let mut holdings = self.friend.holdings();
-        // It may be looking at somebody just now.
+        // The friend may have another process's files open at this moment.
         let is_as_before = || {
             holdings = self.friend.holdings();
             Ok(holdings.files <= self.friends_files && holdings.removed.len() <= HELD_BY_IDLE)

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Stops a process before and after each system call of any of its threads, counts that, and kills it where it is told to, or has it wait there.
+//! Stops a process before and after each system call of any of its threads, counts the calls, and kills or stalls it at a given point.
 
 use crate::Result;
 use libc::{c_int, c_long, c_void, pid_t};
@@ -10,22 +10,22 @@ use std::io;
 use std::sync::mpsc::Sender;
 use std::time::{Duration, Instant};
 
-/// Where in a system call.
+/// The time at a system call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum When {
     Before,
-    /// It was made, and nothing after it.
+    /// After the call, before any other instruction.
     After,
-    /// So long after it, in whatever its threads do then.
+    /// This long after the call, whatever its threads do then.
     Soon(Duration),
-    /// It is not killed, and goes on after longer than anything in it waits for another process.
+    /// The process is not killed, but stalled for longer than any of its waits for another process.
     Stall,
 }
 
-/// Longer than who joins a domain waits for who removes it.
+/// Longer than a process that joins a domain waits for one that removes it.
 const STALL: Duration = Duration::from_millis(2500);
 
-/// A system call of all that a process makes, whichever of its threads does, from 1.
+/// The number of a system call among all of a process, of any of its threads, from 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Point {
     pub call: usize,
@@ -38,24 +38,24 @@ impl Point {
     }
 }
 
-/// How it ended.
+/// How the process ended.
 #[derive(Clone, Debug)]
 pub struct End {
-    /// System calls that it made.
+    /// Number of system calls that it made.
     pub calls: usize,
-    /// At the point, or not at all.
+    /// Whether it was killed at the point.
     pub is_killed: bool,
-    /// It waited at the point.
+    /// Whether it was stalled at the point.
     pub is_stalled: bool,
     /// Its exit code, if it ended by itself.
     pub code: Option<i32>,
-    /// When it was gone.
+    /// When its end was detected.
     pub at: Instant,
-    /// The number of the system call that it was killed at.
+    /// The kernel's number of the system call at which it was killed.
     pub number: Option<u64>,
 }
 
-/// Follows a process of this thread's process, which waits and has one thread, until it ends. Says when it has begun. Kills it at `point`.
+/// Traces a child process, which waits and has one thread, until it ends. Signals `started` when tracing has begun. Kills it at `point`.
 pub fn follow(pid: u32, mut point: Option<Point>, started: &Sender<()>) -> Result<End> {
     let pid = pid_t::try_from(pid)?;
     let options = libc::PTRACE_O_TRACESYSGOOD | libc::PTRACE_O_TRACECLONE | libc::PTRACE_O_EXITKILL;
@@ -77,7 +77,7 @@ pub fn follow(pid: u32, mut point: Option<Point>, started: &Sender<()>) -> Resul
             continue;
         }
         if end.is_killed {
-            // It runs into its end by itself.
+            // The thread ends by itself.
             continue;
         }
         let (signal, event) = (libc::WSTOPSIG(status), status >> 16);
@@ -88,7 +88,7 @@ pub fn follow(pid: u32, mut point: Option<Point>, started: &Sender<()>) -> Resul
             } else {
                 within.remove(&thread);
             }
-            // What follows on the last one's end is found there, whichever thread makes the next one.
+            // A point after a call is found at the exit of the last call, whichever thread makes the next one.
             let is_there =
                 |point: &Point| point.call == end.calls && is_entry == (point.when == When::Before);
             let Some(point) = point.take_if(|point| is_there(point)) else {
@@ -121,13 +121,13 @@ pub fn follow(pid: u32, mut point: Option<Point>, started: &Sender<()>) -> Resul
 
 fn resume(thread: pid_t, signal: c_int) -> Result<()> {
     match ptrace(libc::PTRACE_SYSCALL, thread, signal as usize) {
-        // It is being killed.
+        // The thread is being killed.
         Err(error) if error.raw_os_error() == Some(libc::ESRCH) => Ok(()),
         other => Ok(other?),
     }
 }
 
-/// The next thing that happens to any thread that this thread follows.
+/// The next event of any thread that this thread traces.
 fn wait() -> io::Result<(pid_t, c_int)> {
     let mut status = 0;
     loop {

@@ -25,11 +25,11 @@ use uuid::Uuid;
 
 /// How goals, results and feedback of an action are encoded. Every [`Action`] is its own codec.
 pub trait ActionCodec: Sized + Send + Sync + 'static {
-    /// What a client asks for.
+    /// The goal that a client sends.
     type Goal: Send;
-    /// What it gets at the end.
+    /// The result at the end of the goal.
     type Result: Send + 'static;
-    /// What it hears on the way.
+    /// The feedback while the goal is executed.
     type Feedback: Send + 'static;
     /// The feedback with the goal's id, as published.
     type FeedbackMessage: Decode;
@@ -43,7 +43,7 @@ pub trait ActionCodec: Sized + Send + Sync + 'static {
     /// Whether the goal was accepted.
     ///
     /// # Errors
-    /// The response is none of the type.
+    /// The response is not valid for the type.
     fn is_accepted(response: <<Self::SendGoal as ServiceCodec>::Response as Decode>::Owned) -> Result<bool>;
     /// The request for the result.
     fn result_request(id: GoalId) -> <Self::GetResult as ServiceCodec>::Request;
@@ -51,7 +51,7 @@ pub trait ActionCodec: Sized + Send + Sync + 'static {
     fn take_result(
         response: <<Self::GetResult as ServiceCodec>::Response as Decode>::Owned,
     ) -> (GoalStatus, Self::Result);
-    /// Whose feedback it is, and what. `None` if it is nobody's.
+    /// The goal of the feedback, and the feedback. `None` if it belongs to no goal.
     fn take_feedback(message: <Self::FeedbackMessage as Decode>::Owned) -> Option<(GoalId, Self::Feedback)>;
 }
 
@@ -100,7 +100,7 @@ struct ActionClientState<P: ActionCodec> {
     results: mpsc::UnboundedSender<ResultToCome>,
 }
 
-/// Ends with the goal, or because nobody waits for its result or feedback any more.
+/// Completes with the goal, or when neither its result nor its feedback is awaited any more.
 type ResultToCome = BoxFuture<'static, Option<GoalId>>;
 
 /// A goal that was sent and is still in use.
@@ -119,7 +119,7 @@ struct Goal<P: ActionCodec> {
 }
 
 impl<P: ActionCodec> ActionClientState<P> {
-    /// The callback that listens for a client.
+    /// Spawns the callback that receives feedback, status and results for a client.
     fn listen(
         node: &mut Node,
         shared: &Arc<Self>,
@@ -137,11 +137,11 @@ impl<P: ActionCodec> ActionClientState<P> {
             let (mut feedback, mut status, mut requests) = (feedback.fuse(), status.fuse(), requests.fuse());
             let mut results = FuturesUnordered::new();
             loop {
-                // None of them first: a flood of one keeps nobody from the others.
+                // Polled in random order, so that a flood of one input does not starve the others.
                 futures::select! {
                     (id, feedback) = feedback.select_next_some() => {
                         let Some(shared) = weak.upgrade() else { return };
-                        lost.prune(&shared.name);
+                        lost.warn(&shared.name);
                         shared.pass_on(id, feedback);
                     }
                     message = status.select_next_some() => {
@@ -155,12 +155,12 @@ impl<P: ActionCodec> ActionClientState<P> {
                     ended = results.select_next_some() => {
                         let Some(shared) = weak.upgrade() else { return };
                         let Some(id) = ended else { continue };
-                        // What was published before the end of a goal comes before it: that is in the queue by now.
+                        // Feedback that was published before the goal's end is delivered before it: it is in the queue by now.
                         for _ in 0..FEEDBACK_DEPTH {
                             let Some(Some((id, feedback))) = feedback.next().now_or_never() else { break };
                             shared.pass_on(id, feedback);
                         }
-                        lost.prune(&shared.name);
+                        lost.warn(&shared.name);
                         shared.end(id);
                     }
                 }
@@ -178,7 +178,7 @@ impl<P: ActionCodec> ActionClientState<P> {
         let mut goals = self.goals();
         let Some(goal) = goals.iter_mut().find(|goal| goal.id == id) else { return };
         let Some(sender) = &mut goal.feedback else { return };
-        // Else its stream was dropped.
+        // Other errors: the stream was dropped.
         let is_full = sender.try_send(feedback).is_err_and(|error| error.is_full());
         if is_full && !goal.is_warned {
             goal.is_warned = true;
@@ -193,7 +193,7 @@ impl<P: ActionCodec> ActionClientState<P> {
     fn note(&self, message: &GoalStatusArray) {
         let mut goals = self.goals();
         for message in &message.status_list {
-            // An old message must not wake the dead.
+            // An old message must not change a goal that has ended.
             let goal = goals.iter_mut().find(|goal| goal.id == message.goal_info.goal_id.uuid);
             if let Some(goal) = goal.filter(|goal| !goal.status.get().is_terminal()) {
                 goal.status.set(GoalStatus::from_rcl(message.status));
@@ -201,21 +201,21 @@ impl<P: ActionCodec> ActionClientState<P> {
         }
     }
 
-    /// Nothing more comes for this goal.
+    /// Ends the feedback stream of this goal.
     fn end(&self, id: GoalId) {
         if let Some(goal) = self.goals().iter_mut().find(|goal| goal.id == id) {
             goal.feedback = None;
         }
     }
 
-    /// Sends a goal; the future ends with its handle, its result to come and its feedback.
+    /// Sends a goal; the future yields its handle, the future of its result, and its feedback.
     fn send(
         self: &Arc<Self>,
         goal: P::Goal,
     ) -> Result<impl Future<Output = Result<Sent<P>>> + Send + use<P>> {
         let id = Uuid::new_v4().into_bytes();
         let (feedback, received) = mpsc::channel(FEEDBACK_DEPTH);
-        // Before the goal is sent: the first feedback may be as fast as the response, and the result must be asked for.
+        // Before the goal is sent: the first feedback may be as fast as the response, and the result needs a slot for its request.
         let (status, feedback) = (SharedStatus::default(), Some(feedback));
         let goal_sent =
             Goal { id, status: status.clone(), feedback, is_warned: false, has_place: true, held: 1 };
@@ -239,7 +239,7 @@ impl<P: ActionCodec> ActionClientState<P> {
         })
     }
 
-    /// Asks the server to cancel a goal.
+    /// Requests the server to cancel a goal.
     fn cancel(&self, id: GoalId) -> Result<impl Future<Output = Result<()>> + Unpin + Send + use<P>> {
         let mut request = CancelGoal::Request::default();
         request.goal_info.goal_id.uuid = id;
@@ -253,7 +253,7 @@ impl<P: ActionCodec> ActionClientState<P> {
     }
 }
 
-/// Tells when feedback was lost before it came to the client.
+/// Logs that feedback was lost before the client received it.
 struct Lost {
     counters: Arc<SubscriptionCounters>,
     /// The number of lost messages at the last warning.
@@ -261,8 +261,8 @@ struct Lost {
 }
 
 impl Lost {
-    /// Not each time: when they are twice as many.
-    fn prune(&mut self, action: &str) {
+    /// Logs a warning when the number of lost messages has more than doubled since the last one.
+    fn warn(&mut self, action: &str) {
         let lost = self.counters.lost();
         if lost > self.said.saturating_mul(2) {
             self.said = lost;
@@ -274,7 +274,7 @@ impl Lost {
     }
 }
 
-/// As long as feedback and results are listened for: until the client, or its context, ends.
+/// Exists while feedback and results are received: until the client, or its context, ends.
 struct Listening<P: ActionCodec>(Weak<ActionClientState<P>>);
 
 impl<P: ActionCodec> Drop for Listening<P> {
@@ -285,7 +285,7 @@ impl<P: ActionCodec> Drop for Listening<P> {
     }
 }
 
-/// A goal's handle, its result to come, its feedback.
+/// A goal's handle, the future of its result, its feedback.
 type Sent<P> = (GoalHandleState<P>, GoalResult<P>, GoalFeedback<P>);
 
 /// Keeps the state of a goal, and the task that listens for it.
@@ -302,13 +302,13 @@ impl<P: ActionCodec> GoalHandleState<P> {
         let (sender, result) = oneshot::channel();
         let response = Arc::new(PiMutex::new(Some(response)));
         let (abort, registration) = AbortHandle::new_pair();
-        // Whoever has the result to come, or the feedback, keeps what listens for them.
+        // The task holds a weak reference: the handles of the result and of the feedback keep the client's state.
         let weak = Arc::downgrade(&shared);
         let awaited = response.clone();
         let deliver = async move {
             let result = poll_fn(|context| {
                 let mut awaited = awaited.lock();
-                // Without one it is about to be aborted.
+                // Without a response future, the task is about to be aborted.
                 let Some(response) = &mut *awaited else { return Poll::Pending };
                 let result = std::task::ready!(response.poll_unpin(context));
                 *awaited = None;
@@ -323,13 +323,13 @@ impl<P: ActionCodec> GoalHandleState<P> {
                     goal.status.set(*status);
                 }
             }
-            // Ignored: nobody waits for it.
+            // Ignored: an error means that the result is not awaited.
             let _ = sender.send(result);
             id
         };
         let deliver = Abortable::new(deliver, registration).map(std::result::Result::ok);
         if shared.results.unbounded_send(deliver.boxed()).is_err() {
-            // The context has ended, and with it whoever listened.
+            // The context has ended, and with it the receiving callback.
             shared.end(id);
         }
         let wanted = Arc::new(GoalInterest { response, abort, held: self.clone() });
@@ -337,9 +337,9 @@ impl<P: ActionCodec> GoalHandleState<P> {
         (self, GoalResult { result, wanted }, feedback)
     }
 
-    /// What is said of a goal that was accepted, and whose result cannot be asked for. Nobody would hear of it: it is cancelled.
+    /// The error for a goal that was accepted, but whose result cannot be requested. The goal is cancelled, as its result would be lost.
     fn give_up(&self, error: Error) -> Error {
-        // The answer to that is not waited for: it comes when whoever pursues the goal has decided.
+        // The response is not awaited: it arrives when the code that executes the goal has decided.
         let asked = self.shared.cancel(self.id).map(drop);
         let fate = match asked {
             Ok(()) => "its server was asked to cancel it".into(),
@@ -381,7 +381,7 @@ struct GoalInterest<P: ActionCodec> {
 
 impl<P: ActionCodec> Drop for GoalInterest<P> {
     fn drop(&mut self) {
-        // First, so that whoever finds a place by the count finds one for the request.
+        // Dropped first, so that a thread that finds a free slot by the count also finds one for its request.
         let response = self.response.lock().take();
         drop(response);
         self.abort.abort();
@@ -401,7 +401,7 @@ impl<P: ActionCodec> Future for GoalResult<P> {
 
     fn poll(mut self: std::pin::Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
         self.result.poll_unpin(context).map(|result| {
-            // Whoever listened has ended with the context.
+            // The receiving callback has ended with the context.
             let gone =
                 || ServiceError::ServerGone { service: self.wanted.held.shared.name.as_str().into() }.into();
             result.unwrap_or_else(|_| Err(gone()))

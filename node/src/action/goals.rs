@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A server's goals: their states, which of them may be cancelled, who waits for a result, and which have expired. No
-//! input or output.
+//! A server's goals: their states, which of them may be cancelled, which requests wait for a result, and which goals have expired.
+//! No input or output.
 
 use super::state::{GoalEvent, GoalStatus, SharedStatus};
 use std::time::Duration;
@@ -10,11 +10,11 @@ use tautline_transport::MAX_PENDING_REQUESTS;
 /// Means every goal in a request to cancel.
 const ANY: GoalId = [0; 16];
 
-/// Requests for one goal's result that wait for it: all that 32 clients, the most that a service has unless told otherwise, can
-/// wait for at once.
+/// Maximum of requests that wait for one goal's result: as many as 32 clients, a service's default maximum, can have pending at
+/// once.
 pub(crate) const MAX_WAITING: usize = 32 * MAX_PENDING_REQUESTS;
 
-/// Answers of a request to cancel, from `action_msgs/srv/CancelGoal`.
+/// Return codes of a request to cancel, from `action_msgs/srv/CancelGoal`.
 pub(crate) mod cancel_code {
     pub const NONE: i8 = 0;
     pub const REJECTED: i8 = 1;
@@ -25,7 +25,7 @@ pub(crate) mod cancel_code {
 /// Seconds and nanoseconds.
 pub(crate) type Stamp = (i32, u32);
 
-/// `W` is who waits for a result.
+/// `W` is a waiting request for a result.
 pub(crate) struct Goals<W> {
     list: Vec<Goal<W>>,
     /// How long a result is kept.
@@ -41,7 +41,7 @@ struct Goal<W> {
     waiting: Vec<W>,
 }
 
-/// What is said to someone who asks for a result.
+/// The reply to a request for a result.
 pub(crate) enum ResultOf<W> {
     /// The body of the response.
     Known(W, Vec<u8>),
@@ -55,10 +55,10 @@ impl<W> Goals<W> {
         Goals { list: Vec::new(), result_timeout }
     }
 
-    /// Returns its status, now and whatever it will be.
+    /// Adds an accepted goal. Returns its status, which follows later changes.
     ///
     /// # Errors
-    /// There is a goal of this id already: its status.
+    /// A goal with this id exists already: its status.
     pub(crate) fn accept(&mut self, id: GoalId, accepted: Stamp) -> Result<SharedStatus, GoalStatus> {
         if let Some(goal) = self.get(id) {
             return Err(goal.status.get());
@@ -73,11 +73,11 @@ impl<W> Goals<W> {
         self.list.iter().find(|goal| goal.id == id).map_or(GoalStatus::Unknown, |goal| goal.status.get())
     }
 
-    /// The status after the event.
+    /// Applies an event to a goal. Returns the status after the event.
     ///
     /// # Errors
-    /// The status in which that cannot happen.
-    pub(crate) fn happen(&mut self, id: GoalId, event: GoalEvent) -> Result<GoalStatus, GoalStatus> {
+    /// The status in which the event cannot happen.
+    pub(crate) fn apply(&mut self, id: GoalId, event: GoalEvent) -> Result<GoalStatus, GoalStatus> {
         let Some(goal) = self.get(id) else { return Err(GoalStatus::Unknown) };
         let before = goal.status.get();
         let status = before.after(event).ok_or(before)?;
@@ -85,15 +85,15 @@ impl<W> Goals<W> {
         Ok(status)
     }
 
-    /// A terminal goal has this result: returns who waits for it.
+    /// Stores the result of a terminal goal. Returns the requests that wait for it.
     pub(crate) fn finish(&mut self, id: GoalId, body: Vec<u8>, now_ns: u64) -> Vec<W> {
         let Some(goal) = self.get(id) else { return Vec::new() };
         goal.result = Some((body, now_ns));
         std::mem::take(&mut goal.waiting)
     }
 
-    /// Somebody asks for a result. If as many wait for it as can, those who are not `there` any more do no longer; if that is not
-    /// enough, who asks is told that nothing is known.
+    /// Handles a request for a result. If the maximum of requests wait for it, those whose client is not `there` any more are removed;
+    /// if that is not enough, the reply is that the goal is unknown.
     pub(crate) fn request_result(
         &mut self,
         id: GoalId,
@@ -116,8 +116,8 @@ impl<W> Goals<W> {
         }
     }
 
-    /// Which goals a request to cancel means, and what is answered if there are none. As in ROS 2: no id and no time mean all;
-    /// a time means all accepted until then; an id means that one, besides.
+    /// The goals that a request to cancel selects, and the return code if there are none. As in ROS 2: no id and no time select all;
+    /// a time selects all accepted until then; an id selects that goal in addition.
     pub(crate) fn to_cancel(&self, id: GoalId, until: Stamp) -> (Vec<GoalId>, i8) {
         let all = id == ANY && until == (0, 0);
         let meant = |goal: &Goal<W>| {
@@ -134,7 +134,7 @@ impl<W> Goals<W> {
         (goals, code)
     }
 
-    /// Forgets the goals whose results were there for longer than the time-out. True if there were any.
+    /// Removes the goals whose results were kept for longer than the time-out. Returns whether there were any.
     pub(crate) fn expire(&mut self, now_ns: u64) -> bool {
         let limit_ns = tautline_rt::clock::nanoseconds(self.result_timeout);
         let before = self.list.len();
@@ -171,7 +171,7 @@ mod tests {
         let mut goals = Goals::new(Duration::from_nanos(100));
         for (id, sec) in [(A, 1), (B, 2), (C, 3)] {
             goals.accept(id, (sec, 0)).unwrap();
-            goals.happen(id, GoalEvent::Execute).unwrap();
+            goals.apply(id, GoalEvent::Execute).unwrap();
         }
         goals
     }
@@ -184,10 +184,10 @@ mod tests {
         assert_eq!(goals.to_cancel(ANY, (2, 0)), (vec![A, B], NONE));
         assert_eq!(goals.to_cancel(C, (1, 5)), (vec![A, C], NONE));
         assert_eq!(goals.to_cancel([9; 16], (0, 0)), (vec![], UNKNOWN_GOAL_ID));
-        goals.happen(B, GoalEvent::Succeed).unwrap();
+        goals.apply(B, GoalEvent::Succeed).unwrap();
         assert_eq!(goals.to_cancel(B, (0, 0)), (vec![], GOAL_TERMINATED));
         assert_eq!(goals.to_cancel(ANY, (0, 0)), (vec![A, C], NONE));
-        goals.happen(A, GoalEvent::CancelGoal).unwrap();
+        goals.apply(A, GoalEvent::CancelGoal).unwrap();
         assert_eq!(
             goals.to_cancel(ANY, (0, 0)),
             (vec![C], NONE),
@@ -211,7 +211,7 @@ mod tests {
             matches!(goals.request_result(B, 0, |_| unreachable!()), ResultOf::Later),
             "each goal has its own"
         );
-        goals.happen(A, GoalEvent::Succeed).unwrap();
+        goals.apply(A, GoalEvent::Succeed).unwrap();
         assert_eq!(goals.finish(A, vec![], 0).len(), MAX_WAITING / 2 + 1);
     }
 
@@ -220,8 +220,8 @@ mod tests {
         let mut goals = goals();
         assert_eq!(goals.accept(A, (9, 9)).err(), Some(GoalStatus::Executing), "one goal of an id");
         assert!(matches!(goals.request_result(A, 1, |_| true), ResultOf::Later));
-        assert_eq!(goals.happen(A, GoalEvent::Canceled), Err(GoalStatus::Executing));
-        goals.happen(A, GoalEvent::Succeed).unwrap();
+        assert_eq!(goals.apply(A, GoalEvent::Canceled), Err(GoalStatus::Executing));
+        goals.apply(A, GoalEvent::Succeed).unwrap();
         assert_eq!(goals.finish(A, vec![7], 1000), [1]);
         assert!(matches!(goals.request_result(A, 2, |_| true), ResultOf::Known(2, body) if body == [7]));
         assert!(!goals.expire(1099));

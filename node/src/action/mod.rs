@@ -21,8 +21,8 @@ use futures::Stream;
 use tautline_msgs::Action;
 use tautline_transport::Qos;
 
-/// Each action server and each action client is a callback of its own, on a thread of ordinary priority named after the
-/// action, which answers and listens while goals are pursued elsewhere.
+/// Each action server and each action client has a callback of its own, on a thread of ordinary priority named after the
+/// action, which responds to requests and receives messages while goals are executed elsewhere.
 impl Node {
     /// Creates an action server: a stream of goals, each to be accepted or rejected. A goal that is dropped is rejected; an
     /// accepted goal that is dropped without a result is aborted. Up to 1000 goals are queued in the stream; further goals are
@@ -121,20 +121,20 @@ impl Names {
     }
 }
 
-/// Feedback that waits for the client that listens, and feedback of a goal that waits for its reader.
+/// Queue depth of a client's subscription to feedback, and of one goal's feedback for its reader.
 const FEEDBACK_DEPTH: usize = 1000;
 
-/// Of a client's subscription to feedback.
+/// The QoS of a client's subscription to feedback.
 fn feedback_qos() -> Qos {
     Qos::keep_last(FEEDBACK_DEPTH)
 }
 
-/// Many results may be waited for at once.
+/// The QoS of a server's services and feedback: many results may be awaited at once.
 fn qos() -> Qos {
     Qos::keep_last(100)
 }
 
-/// The newest status, for those who come later, too.
+/// The QoS of the status: the newest one, also for late joiners.
 fn status_qos() -> Qos {
     Qos::keep_last(1).transient_local()
 }

@@ -62,7 +62,7 @@ struct Server<T: Action> {
     status_of_all: PiMutex<Publisher<GoalStatusArray>>,
 }
 
-/// What the stream of goals and the goals hold: without them, the thread that answers ends.
+/// Held by the stream of goals and by the goals: without them, the responding thread ends.
 struct User<T: Action> {
     server: Arc<Server<T>>,
     end: GuardCondition,
@@ -87,7 +87,7 @@ struct Cancels {
     /// The decision on the cancel request that was last delivered: all clients that request before the decision share
     /// it.
     decision: Option<Shared<oneshot::Receiver<bool>>>,
-    /// Ends with this: a request that is undecided by then is rejected.
+    /// Dropped with this entry: a request that is undecided by then is rejected.
     _end: oneshot::Sender<()>,
     ended: Shared<oneshot::Receiver<()>>,
 }
@@ -97,9 +97,9 @@ impl<T: Action> Server<T> {
         self.state.lock()
     }
 
-    /// Makes an event happen to a goal and says so to everybody.
-    fn happen(&self, id: GoalId, event: GoalEvent) -> Result<GoalStatus> {
-        let happened = self.state().goals.happen(id, event);
+    /// Applies an event to a goal and publishes the new status.
+    fn apply(&self, id: GoalId, event: GoalEvent) -> Result<GoalStatus> {
+        let happened = self.state().goals.apply(id, event);
         let status = happened.map_err(|status| self.goal_error(id, status))?;
         self.publish_status();
         Ok(status)
@@ -111,14 +111,14 @@ impl<T: Action> Server<T> {
 
     fn finish(&self, id: GoalId, event: GoalEvent, result: T::Result) -> Result<()> {
         let before = self.state().goals.status(id);
-        // Whatever happens meanwhile, the event ends it in this status, or cannot happen.
+        // Whatever happens meanwhile, the event leads to this status, or cannot happen.
         let status = before.after(event).ok_or_else(|| self.goal_error(id, before))?;
         let response = T::make_result_response_msg(status.to_rcl(), result);
         let mut body = vec![0; response.cdr_len()];
         response.encode(&mut body).map_err(|error| Error::Publish(error.into()))?;
         let waiting = {
             let mut state = self.state();
-            state.goals.happen(id, event).map_err(|status| self.goal_error(id, status))?;
+            state.goals.apply(id, event).map_err(|status| self.goal_error(id, status))?;
             state.cancels.retain(|cancels| cancels.goal != id);
             state.goals.finish(id, body.clone(), monotonic_ns())
         };
@@ -129,7 +129,7 @@ impl<T: Action> Server<T> {
 }
 
 impl<T: Action> Server<T> {
-    /// Answers who asks for a result, now or when it is there.
+    /// Responds to a request for a result, now or when the goal has one.
     fn answer(&self, request: ServiceRequest<T::GetResult>) {
         let (message, reply) = request.into_parts();
         let id = T::destructure_result_request_msg(message);
@@ -157,7 +157,7 @@ impl<T: Action> Server<T> {
 }
 
 impl<T: Action> Server<T> {
-    /// Tells everybody the status of all goals. Not under the lock of the state, which goals' handles take.
+    /// Publishes the status of all goals. Not called under the lock of the state, which goals' handles take.
     fn publish_status(&self) {
         let publisher = self.status_of_all.lock();
         let status = |(id, accepted, status): (GoalId, Stamp, GoalStatus)| StatusMsg {
@@ -178,7 +178,7 @@ fn goal_info(id: GoalId, (sec, nanosec): Stamp) -> GoalInfo {
     info
 }
 
-/// The response was encoded when the goal ended.
+/// Sends a response that was encoded when the goal ended.
 fn respond<T: Action>(reply: ResultReply<T>, body: &[u8]) {
     let response = ResultResponse::<T>::decode(body, Endian::Little);
     let responded = match response {
@@ -190,7 +190,7 @@ fn respond<T: Action>(reply: ResultReply<T>, body: &[u8]) {
     }
 }
 
-/// Tells the time of the node's clock, which is the system's in a build without simulated time.
+/// Returns a function that reads the node's clock, which is the system's in a build without simulated time.
 fn clock(node: &Node) -> Box<dyn Fn() -> Stamp + Send + Sync> {
     #[cfg(feature = "rosgraph_msgs")]
     let now_ns = {
@@ -239,7 +239,7 @@ pub(super) fn create<T: Action>(
         let mut cancels = FuturesUnordered::new();
         loop {
             futures::select! {
-                // Without one the node has ended: nobody can ask any more.
+                // `None`: the node has ended, and no request can arrive any more.
                 request = send_goal.next() => match users.upgrade().zip(request) {
                     Some((user, request)) => offer(&user, &mut goals, request),
                     None => break,
@@ -260,7 +260,7 @@ pub(super) fn create<T: Action>(
             }
         }
         drop((goals, send_goal));
-        // Whoever has asked by now is still answered: no goal is left.
+        // Requests that have arrived by now still get a response: no goal is left.
         while let Some(Some(request)) = cancel_goal.next().now_or_never() {
             cancels.push(ask_to_cancel(&server, request));
         }
@@ -276,7 +276,7 @@ pub(super) fn create<T: Action>(
     }))
 }
 
-/// Gives a goal to whoever decides on it; if nobody is left, or too many wait for that, it is rejected.
+/// Queues a goal in the stream for a decision; if the stream was dropped or is full, the goal is rejected.
 fn offer<T: Action>(
     user: &Arc<User<T>>,
     goals: &mut mpsc::Sender<ActionServerGoalRequest<T>>,
@@ -286,11 +286,11 @@ fn offer<T: Action>(
     let (id, goal) = T::destructure_goal_request_msg(message);
     let decision = Decision::<T> { reply: Some(reply) };
     let request = ActionServerGoalRequest { uuid: Uuid::from_bytes(id), goal, decision, user: user.clone() };
-    // What comes back is dropped, and with it rejected.
+    // A request that is not queued is dropped, and thereby rejected.
     let _ = goals.try_send(request);
 }
 
-/// Asks those who pursue the goals, unless they have been asked and have not decided, and answers when all have.
+/// Requests a decision for each of the goals, unless one is pending, and responds when all are decided.
 fn ask_to_cancel<T: Action>(
     server: &Arc<Server<T>>,
     request: ServiceRequest<CancelGoal::Service>,
@@ -300,7 +300,7 @@ fn ask_to_cancel<T: Action>(
     let state = &mut *state;
     let (goals, code) = state.goals.to_cancel(info.goal_id.uuid, (info.stamp.sec, info.stamp.nanosec));
     let asked = goals.iter().filter_map(|&id| {
-        // There is one for each goal that can be cancelled.
+        // Each goal that can be cancelled has an entry.
         let cancels = state.cancels.iter_mut().find(|cancels| cancels.goal == id)?;
         let undecided = cancels.decision.take().filter(|decision| decision.peek().is_none());
         let decision = undecided.unwrap_or_else(|| {
@@ -311,7 +311,7 @@ fn ask_to_cancel<T: Action>(
                 accept: Box::new(move || accept_cancel(&weak, id)),
                 decision: sender,
             };
-            // What comes back is dropped, and with it rejected.
+            // A request that is not queued is dropped, and thereby rejected.
             let _ = cancels.requests.try_send(request);
             decision.shared()
         });
@@ -341,7 +341,7 @@ fn answer_cancel(
 }
 
 fn accept_cancel<T: Action>(server: &Weak<Server<T>>, id: GoalId) -> bool {
-    server.upgrade().is_some_and(|server| server.happen(id, GoalEvent::CancelGoal).is_ok())
+    server.upgrade().is_some_and(|server| server.apply(id, GoalEvent::CancelGoal).is_ok())
 }
 
 /// A request to cancel a goal. Dropping it rejects it.
@@ -357,7 +357,7 @@ impl ActionServerCancelRequest {
     /// meanwhile, it stays ended, and the clients are informed that it is not cancelled.
     pub fn accept(self) {
         let accepted = (self.accept)();
-        // Ignored: then nobody is left to be told.
+        // Ignored: an error means that no client waits for the decision.
         let _ = self.decision.send(accepted);
     }
 
@@ -367,7 +367,7 @@ impl ActionServerCancelRequest {
     }
 }
 
-/// What is said to whoever sent a goal. Dropping it rejects the goal.
+/// The decision for the client that sent a goal. Dropping it rejects the goal.
 struct Decision<T: Action> {
     reply: Option<Reply<T::SendGoal>>,
 }
@@ -415,7 +415,7 @@ impl<T: Action> ActionServerGoalRequest<T> {
     {
         let server = &self.user.server;
         let (id, stamp) = (self.uuid.into_bytes(), (server.now)());
-        // One that is not decided on, and one that was decided on meanwhile.
+        // Room for one undecided request, and for one that was decided on meanwhile.
         let (requests, cancel_requests) = mpsc::channel(1);
         let (end, ended) = oneshot::channel();
         let mut state = server.state();
@@ -423,7 +423,7 @@ impl<T: Action> ActionServerGoalRequest<T> {
         state.cancels.push(Cancels { goal: id, requests, decision: None, _end: end, ended: ended.shared() });
         drop(state);
         let pursued = Arc::new(Pursued { id, status, user: self.user.clone() });
-        self.user.server.happen(id, GoalEvent::Execute)?;
+        self.user.server.apply(id, GoalEvent::Execute)?;
         self.decision.respond(true, stamp)?;
         Ok((ActionServerGoal { uuid: self.uuid, goal: self.goal, pursued }, cancel_requests))
     }
@@ -447,7 +447,7 @@ pub struct ActionServerGoal<T: Action> {
     pursued: Arc<Pursued<T>>,
 }
 
-/// As long as somebody pursues it.
+/// Exists as long as a handle of an accepted goal does.
 struct Pursued<T: Action> {
     id: GoalId,
     status: SharedStatus,
@@ -461,12 +461,12 @@ impl<T: Action> Drop for Pursued<T> {
             GoalStatus::Executing => GoalEvent::Abort,
             _ => return,
         };
-        // Ignored: it cannot have ended, for this was the last one who could end it.
+        // Ignored: the goal cannot have ended, because only its handles can end it.
         let _ = self.user.server.finish(self.id, event, T::Result::default());
     }
 }
 
-/// Ending a goal allocates, and waits while other threads, that which answers among them, change goals or publish their status: for
+/// Ending a goal allocates, and waits while other threads, including the responding thread, change goals or publish their status: for
 /// ordinary priorities, or at the end of real-time work.
 impl<T: Action> ActionServerGoal<T> {
     /// Whether a request to cancel this goal was accepted.

@@ -34,7 +34,7 @@ pub enum GoalStatus {
     Aborted,
 }
 
-/// The status of one goal, which its handles read without a lock. A clone is the same.
+/// The status of one goal, which its handles read without a lock. A clone is the same status.
 #[derive(Clone, Default)]
 pub(crate) struct SharedStatus(Arc<AtomicI8>);
 
@@ -46,7 +46,7 @@ impl SharedStatus {
         GoalStatus::from_rcl(self.0.load(Ordering::Acquire))
     }
 
-    /// Under the lock of the goal's owner: what is set depends on what it was.
+    /// Called under the lock of the goal's owner, because the new status depends on the old one.
     pub(crate) fn set(&self, status: GoalStatus) {
         self.0.store(status.to_rcl(), Ordering::Release);
     }
@@ -79,7 +79,7 @@ impl GoalStatus {
         matches!(self, GoalStatus::Succeeded | GoalStatus::Canceled | GoalStatus::Aborted)
     }
 
-    /// What it is after `event`; `None` if that cannot happen to it.
+    /// The status after `event`; `None` if the event cannot happen in this status.
     pub(crate) fn after(self, event: GoalEvent) -> Option<Self> {
         match (self, event) {
             (Self::Accepted, GoalEvent::Execute) => Some(Self::Executing),

@@ -206,7 +206,7 @@ impl StateMachine {
         Ok(transition)
     }
 
-    /// Call when the callback has run. `None` if no transition was started.
+    /// Ends the transition with the result of its callback. `None` if no transition was started.
     pub fn finish(&mut self, result: CallbackReturn) -> Option<Transition> {
         let label = match result {
             CallbackReturn::Success => SUCCESS,

@@ -17,13 +17,13 @@ use tautline_transport::{Gate, Publisher};
 /// The callbacks of a managed node's transitions. A callback that is not implemented succeeds, except `on_error`, which
 /// fails: the node is then finalized. A callback that panics counts as an error.
 pub trait LifecycleCallbacks: Send + 'static {
-    /// Makes what the node needs: publishers, subscriptions, timers.
+    /// Creates what the node needs: publishers, subscriptions, timers.
     fn on_configure(&mut self, node: &mut ManagedNode) -> CallbackReturn {
         let _ = node;
         CallbackReturn::Success
     }
 
-    /// Begins to work. Publishers speak once this has succeeded.
+    /// Begins to work. Publishers send once this has succeeded.
     fn on_activate(&mut self, node: &mut ManagedNode) -> CallbackReturn {
         let _ = node;
         CallbackReturn::Success
@@ -319,10 +319,10 @@ impl Inner {
         })
     }
 
-    /// A transition was made: publishers and the world are told.
+    /// Records a transition: opens or closes the publishers' gate, and publishes the transition's event.
     fn note(&self, transition: Transition, state: &AtomicU8) {
         let Transition { id, label, start, goal } = transition;
-        // Before the callback of what ends being active, after that of what begins to be.
+        // The gate closes before the callback of a deactivation, and opens after that of an activation.
         self.node.gate.set_open(goal == State::Active);
         state.store(goal.id(), Ordering::Release);
         let event = msg::TransitionEvent {

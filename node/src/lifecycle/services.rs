@@ -87,7 +87,7 @@ fn respond<T: Service>(request: ServiceRequest<T>, response: T::Response) -> Rea
     ready(())
 }
 
-/// As in rclcpp: a transition that has a name is looked for by it, whatever its number.
+/// Responds to `change_state`. As in rclcpp, a requested transition with a name is found by the name, whatever its number.
 pub(super) fn change_state(
     node: &LifecycleNode,
     request: &srv::ChangeState::Request,
@@ -111,7 +111,7 @@ pub(super) fn available_states() -> srv::GetAvailableStates::Response {
     srv::GetAvailableStates::Response { available_states: [unknown].into_iter().chain(known).collect() }
 }
 
-/// For the transitions that begin where the node is, and for all of them.
+/// The response for the transitions that begin in the node's state, and for all of them.
 pub(super) fn transitions(
     transitions: impl IntoIterator<Item = Transition>,
 ) -> srv::GetAvailableTransitions::Response {

@@ -37,7 +37,7 @@ fn settings() -> &'static Settings {
     })
 }
 
-/// A console that is gone is no reason to stop.
+/// Writes a line. Errors are ignored: a closed console is no reason to stop.
 pub(super) fn write(line: &Line<'_>) {
     let Settings { format, coloured, stdout } = settings();
     let text = render(line, format, *coloured);
@@ -75,7 +75,7 @@ fn render(line: &Line<'_>, format: &str, coloured: bool) -> String {
             "{message}" => text.push_str(line.text),
             "{file_name}" => text.push_str(line.file),
             "{line_number}" => text.push_str(&line.line.to_string()),
-            // There is none in Rust.
+            // Not available in Rust.
             "{function_name}" => {}
             other => text.push_str(other),
         }

@@ -33,7 +33,7 @@ impl TracingLayer {
     }
 }
 
-/// The longest target that is looked at: a logger of so many characters and more has the level of those above it.
+/// Maximum length of a compared target: a longer one is truncated, and has the level of the loggers above it.
 const TARGET_BYTES: usize = 128;
 
 /// A target with `.` for `::`, without allocating.

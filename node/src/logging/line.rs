@@ -42,7 +42,7 @@ impl FixedLine {
             FixedLine { time_ns, file, line, severity, is_cut: false, logger_bytes: 0, used: 0, bytes };
         fixed.append(logger);
         fixed.logger_bytes = fixed.used;
-        // Cut off is no error; what a Display says went wrong is left out.
+        // A truncated line is not an error; errors of a `Display` are ignored.
         let _ = fixed.write_fmt(text);
         if fixed.is_cut {
             fixed.is_cut = false;
@@ -78,7 +78,7 @@ impl FixedLine {
     }
 }
 
-/// The end of the longest beginning of `text` that has at most `bytes`. (That of `str` is newer than the Rust that we ask for.)
+/// The end of the longest prefix of `text` that has at most `bytes`. (`str`'s own function needs a newer Rust than Tautline does.)
 pub(super) fn floor_char_boundary(text: &str, bytes: usize) -> usize {
     (0..=bytes.min(text.len())).rev().find(|end| text.is_char_boundary(*end)).unwrap_or(0)
 }

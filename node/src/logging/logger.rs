@@ -67,7 +67,7 @@ impl Logger {
         Logger { name, life: Life::default() }
     }
 
-    /// Gone with the last clone and child of this logger.
+    /// A reference that dangles after the last clone and child of this logger are dropped.
     pub(super) fn life(&self) -> Weak<()> {
         Arc::downgrade(&self.life.0)
     }
@@ -228,7 +228,7 @@ impl Site {
             None => false,
             Some(period) => u128::from(now_ns.saturating_sub(last)) >= period.as_nanos(),
         };
-        // Of several threads one is the first.
+        // Of several threads only the first one logs.
         due && self
             .last_ns
             .compare_exchange(last, now_ns.max(1), Ordering::Relaxed, Ordering::Relaxed)
@@ -252,8 +252,8 @@ macro_rules! __log {
     }};
 }
 
-/// Logs a line at debug level: `log_debug!(node.logger(), "x is {x}")`. What is formatted is only looked at if the line is
-/// wanted.
+/// Logs a line at debug level: `log_debug!(node.logger(), "x is {x}")`. The arguments are only evaluated if the line is
+/// logged.
 #[macro_export]
 macro_rules! log_debug {
     ($logger:expr, $($text:tt)+) => { $crate::__log!($crate::LogSeverity::Debug, $logger, $($text)+) };

@@ -53,7 +53,7 @@ pub fn set_level(level: LogSeverity) {
     severity::LEVELS.set_all(level);
 }
 
-/// Does what the command line says.
+/// Applies the settings of the command line.
 pub(crate) fn configure(arguments: &Arguments) {
     for (logger, level) in &arguments.log_levels {
         match logger {

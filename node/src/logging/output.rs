@@ -16,7 +16,7 @@ use tautline_rt::Policy;
 use tautline_rt::clock::wall_ns;
 use tautline_rt::fork::ProcessMutex;
 
-/// How often the rings are looked at while there are lines: with one after a silence it is woken.
+/// Interval at which the rings are read while there are lines; the first line after a silence wakes the thread.
 const PERIOD: Duration = Duration::from_millis(20);
 
 struct Sink {
@@ -31,7 +31,7 @@ impl Sink {
     }
 }
 
-/// Where a node's loggers log to.
+/// The topic of a node's loggers.
 struct OfNode {
     logger: String,
     topic: Weak<Rosout>,
@@ -50,7 +50,7 @@ static LOST: AtomicU64 = AtomicU64::new(0);
 pub(super) static TO_CONSOLE: AtomicBool = AtomicBool::new(true);
 
 thread_local! {
-    /// Set while this thread writes: what is logged meanwhile, as by a publisher, goes to the console only.
+    /// Set while this thread writes: lines that are logged meanwhile, as by a publisher, go to the console only.
     static WRITING: Cell<bool> = const { Cell::new(false) };
 }
 
@@ -74,7 +74,7 @@ pub(crate) fn start() {
     }
     sink.drain.prepare();
     drop(sink);
-    // Not of rt's: its stack, which opening a topic needs, would be touched, and so be resident, in each process.
+    // Not a thread of `tautline-rt`: its stack, which opening a topic needs, would be touched, and so be resident, in each process.
     let thread = std::thread::Builder::new().name("log".into());
     if let Err(error) = thread.spawn(write_for_ever) {
         tracing::warn!("lines of real-time threads are written only when other threads log: {error}");
@@ -82,7 +82,7 @@ pub(crate) fn start() {
 }
 
 fn write_for_ever() {
-    // Who started it may be a real-time thread.
+    // The thread that started this one may be a real-time thread.
     if let Err(error) = tautline_rt::set_policy(Policy::Other { nice: 5 }) {
         tracing::warn!("the thread that writes the log: {error}");
     }
@@ -90,7 +90,7 @@ fn write_for_ever() {
         let mut writing = Writing::begin();
         let any = writing.drain();
         writing.sink.drain.reclaim();
-        // After what was logged was written.
+        // After the lines of these topics were written.
         writing.sink.topics.retain(OfNode::is_used);
         writing.sink.drain.prepare();
         any
@@ -103,10 +103,10 @@ fn write_for_ever() {
     }
 }
 
-/// What the logger of a node logs goes to this topic, as long as somebody has the logger or one below it.
+/// Publishes the lines of a node's logger on this topic, as long as the logger or one below it exists.
 pub(crate) fn add_topic(logger: &Logger, topic: Weak<Rosout>) {
     let mut writing = Writing::begin();
-    // Nodes come and go. What those that went had logged is written before they are forgotten.
+    // The lines of nodes that have ended are written before their topics are removed.
     writing.drain();
     writing.sink.topics.retain(OfNode::is_used);
     writing.sink.topics.push(OfNode { logger: logger.name().to_owned(), topic, life: logger.life() });
@@ -122,19 +122,19 @@ pub(super) fn log(line: Line<'_>, text: fmt::Arguments<'_>) {
         return console::write(&line);
     }
     let mut writing = Writing::begin();
-    // What real-time threads logged before comes before.
+    // Earlier lines of real-time threads are written first.
     writing.drain();
     writing.write(&line);
 }
 
-/// A thread may become real-time after its first line.
+/// Not cached, because a thread may become real-time after its first line.
 fn is_realtime() -> bool {
     tautline_rt::current_policy().is_ok_and(|policy| policy.realtime_priority().is_some())
 }
 
 struct Writing {
     sink: MutexGuard<'static, Sink>,
-    // Dropped after the lock: the last one of a context ends threads that may log.
+    // Dropped after the lock: dropping the last one of a context ends threads that may log.
     used: Vec<Arc<Rosout>>,
 }
 
@@ -145,7 +145,7 @@ impl Writing {
         Writing { sink, used: Vec::new() }
     }
 
-    /// Whether anything waited.
+    /// Writes the waiting lines. Returns whether there were any.
     fn drain(&mut self) -> bool {
         let Writing { sink, used } = self;
         let Sink { drain, topics, .. } = &mut **sink;
@@ -175,12 +175,12 @@ impl Drop for Writing {
     }
 }
 
-/// Adds the topics that it published on to `used`.
+/// Writes a line to the console and to `/rosout`. Adds the topics on which it was published to `used`.
 fn deliver(topics: &[OfNode], used: &mut Vec<Arc<Rosout>>, line: &Line<'_>) {
     if TO_CONSOLE.load(Ordering::Relaxed) {
         console::write(line);
     }
-    // Of the node that is nearest above the logger, in each context.
+    // In each context, the topic of the node that is nearest above the logger.
     let above = topics.iter().filter(|of| is_below(line.logger, &of.logger));
     let mut published: Vec<Weak<Rosout>> = Vec::new();
     for OfNode { topic, .. } in above {
@@ -196,7 +196,7 @@ fn deliver(topics: &[OfNode], used: &mut Vec<Arc<Rosout>>, line: &Line<'_>) {
     }
 }
 
-/// Writes, when it is dropped, what callbacks logged.
+/// When dropped, writes the lines that callbacks logged.
 pub(crate) struct FlushOnDrop;
 
 impl Drop for FlushOnDrop {

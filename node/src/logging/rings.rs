@@ -52,12 +52,12 @@ pub(super) fn is_mine() -> bool {
     MINE.try_with(Cell::get).ok().flatten().is_some_and(|index| claimed(index).is_some())
 }
 
-/// The ring of this number, unless it was of the parent of this process.
+/// The ring of this number, unless it belonged to the parent of this process.
 fn claimed(index: u8) -> Option<&'static Ring> {
     RINGS_OF_THREADS.get(usize::from(index)).filter(|ring| ring.tid.load(Ordering::Relaxed) != 0)
 }
 
-/// On which the thread sleeps that writes lines: its lowest bit says that it does, the others count who woke it.
+/// The futex of the thread that writes lines: the lowest bit is set while that thread sleeps, the others count wakes.
 static BELL: FutexWord = FutexWord::new(0);
 const SLEEPING: u32 = 1;
 
@@ -68,7 +68,7 @@ const SLEEPING: u32 = 1;
 /// that writes.
 pub(super) fn push(line: FixedLine) {
     keep(line);
-    // Either this sees that the other sleeps, or the other sees the line before it does.
+    // Either this thread sees that the other one sleeps, or the other one sees the line before it sleeps.
     fence(Ordering::SeqCst);
     if BELL.0.load(Ordering::Relaxed) & SLEEPING != 0 {
         BELL.0.fetch_add(SLEEPING << 1, Ordering::Relaxed);
@@ -76,7 +76,7 @@ pub(super) fn push(line: FixedLine) {
     }
 }
 
-/// Sleeps until a thread has pushed a line since `is_empty` said that none waits. For the one thread that writes.
+/// Sleeps until a thread has pushed a line since `is_empty` returned that none waits. For the one thread that writes.
 pub(super) fn sleep(is_empty: impl FnOnce() -> bool) {
     let asleep = BELL.0.fetch_or(SLEEPING, Ordering::SeqCst) | SLEEPING;
     fence(Ordering::SeqCst);
@@ -101,14 +101,14 @@ fn keep(line: FixedLine) {
 }
 
 fn mine() -> Option<&'static Ring> {
-    // No thread-local any more: the thread is going down.
+    // Without thread-locals, the thread is shutting down.
     let known = MINE.try_with(Cell::get).ok()?;
     if let Some(ring) = known.and_then(claimed) {
         return Some(ring);
     }
     let tid = tautline_rt::current_tid();
     let (index, ring) = RINGS_OF_THREADS.iter().enumerate().find(|(_, ring)| {
-        // Acquire: pairs with the Release of those who made the ring, and gave it back.
+        // Acquire: pairs with the Releases in `prepare`, which made the ring, and in `reclaim`, which freed it.
         ring.ready.load(Ordering::Acquire)
             && ring.tid.compare_exchange(0, tid, Ordering::Acquire, Ordering::Relaxed).is_ok()
     })?;
@@ -116,7 +116,7 @@ fn mine() -> Option<&'static Ring> {
     Some(ring)
 }
 
-/// The other ends of the rings. There is one.
+/// The consumers of the rings. There is one `Drain`.
 pub(super) struct Drain {
     consumers: Vec<Consumer<FixedLine>>,
     batch: Vec<FixedLine>,
@@ -126,7 +126,7 @@ pub(super) struct Drain {
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Lost {
     pub(super) lines: u64,
-    /// The thread; zero: those that found no ring.
+    /// The thread; zero: all threads that found no ring.
     pub(super) tid: u32,
 }
 
@@ -135,7 +135,7 @@ impl Drain {
         Drain { consumers: Vec::new(), batch: Vec::new() }
     }
 
-    /// That of a forked child, which has none of its parent's rings.
+    /// The drain of a forked child, which has none of its parent's rings.
     pub(super) fn of_child() -> Drain {
         for ring in &RINGS_OF_THREADS {
             ring.ready.store(false, Ordering::Relaxed);
@@ -145,13 +145,13 @@ impl Drain {
         Drain::new()
     }
 
-    /// Makes rings, so that some are spare. Allocates and touches their memory.
+    /// Creates rings, so that some are spare. Allocates and touches their memory.
     pub(super) fn prepare(&mut self) {
         let spare = RINGS_OF_THREADS[..self.consumers.len()].iter();
         let spare = spare.filter(|ring| ring.tid.load(Ordering::Relaxed) == 0).count();
         for ring in RINGS_OF_THREADS.iter().skip(self.consumers.len()).take(SPARE.saturating_sub(spare)) {
             let (mut producer, mut consumer) = RingBuffer::new(LINES);
-            // Once through, so that no page of it is missing later.
+            // Filled once, so that it causes no page faults later.
             let line = super::Line {
                 time_ns: 0,
                 severity: super::LogSeverity::Unset,
@@ -169,10 +169,10 @@ impl Drain {
         }
     }
 
-    /// Gives `write` every line that waits, oldest first, and then what was lost. Whether there was anything.
+    /// Passes every waiting line to `write`, oldest first, and then the losses to `lost`. Returns whether there was anything.
     pub(super) fn drain(&mut self, mut write: impl FnMut(&FixedLine), mut lost: impl FnMut(Lost)) -> bool {
         for consumer in &mut self.consumers {
-            // No more than were there: a thread that fills its ring for ever does not keep this one.
+            // At most one ring's length: a thread that fills its ring continuously does not block this one.
             for _ in 0..LINES {
                 let Ok(line) = consumer.pop() else { break };
                 self.batch.push(line);
@@ -196,7 +196,7 @@ impl Drain {
         any
     }
 
-    /// Takes the rings of threads that have ended, once they are empty.
+    /// Frees the rings of threads that have ended, once they are empty.
     pub(super) fn reclaim(&mut self) {
         for (ring, consumer) in RINGS_OF_THREADS.iter().zip(&self.consumers) {
             let tid = ring.tid.load(Ordering::Relaxed);

@@ -29,7 +29,7 @@ impl LogSeverity {
     }
 }
 
-/// In capitals or not.
+/// Accepts upper and lower case.
 impl FromStr for LogSeverity {
     type Err = ();
 
@@ -38,7 +38,7 @@ impl FromStr for LogSeverity {
     }
 }
 
-/// The levels of a process's loggers. A list that only grows, so that looking never waits.
+/// The levels of a process's loggers. A list that only grows, so that reading never waits.
 pub(super) struct Levels {
     of_all: AtomicU8,
     first: OnceLock<Box<Named>>,
@@ -68,8 +68,8 @@ impl Levels {
         self.set_one_of(usize::MAX, logger, level);
     }
 
-    /// As [`set`](Self::set), unless this would be more than so many loggers with a level of their own: then false. Each makes every
-    /// log statement look at one name more.
+    /// Like [`set`](Self::set), but returns false if there would be more than `most` loggers with a level of their own. Each makes every
+    /// log statement compare one more name.
     pub(super) fn set_one_of(&self, most: usize, logger: &str, level: LogSeverity) -> bool {
         if logger.is_empty() {
             self.set_all(level);
@@ -93,7 +93,7 @@ impl Levels {
 
     /// The level that this logger has of its own; [`LogSeverity::Unset`]: none.
     pub(super) fn own(&self, logger: &str) -> LogSeverity {
-        // As in ROS 2, the one without a name is all.
+        // As in ROS 2, the logger without a name stands for all.
         if logger.is_empty() {
             return LogSeverity::of_number(self.of_all.load(Ordering::Relaxed).into())
                 .unwrap_or(LogSeverity::Info);
@@ -109,7 +109,7 @@ impl Levels {
         LogSeverity::Unset
     }
 
-    /// Whether a line of this severity is wanted of the logger.
+    /// Whether the logger writes lines of this severity.
     ///
     /// # Real-time
     /// Wait-free: one comparison for each logger with a level of its own. No allocation, no syscall.

@@ -131,7 +131,7 @@ impl ParameterRange {
         }
     }
 
-    /// As rclcpp, which takes a number for one of the steps if it is within 100 epsilon.
+    /// Whether the range has this number: as in rclcpp, a number within 100 epsilon of a step is on the step.
     fn has_double(self, value: f64) -> bool {
         match self {
             ParameterRange::Integer { .. } => true,

@@ -118,7 +118,7 @@ pub enum ParameterError {
 }
 
 impl ParameterError {
-    /// The same of a field of the struct `prefix`.
+    /// The same error for a field of the struct `prefix`.
     pub(crate) fn below(mut self, prefix: &str) -> ParameterError {
         if let ParameterError::NotDeclared { name }
         | ParameterError::WrongType { name, .. }

@@ -30,7 +30,7 @@ impl ParameterEvents {
         ParameterEvents { node: String::new(), topic: None }
     }
 
-    /// Whether anybody listens: if not, nothing needs to be made ready for [`publish`](Self::publish).
+    /// Whether there is a subscription: if not, nothing needs to be prepared for [`publish`](Self::publish).
     pub(crate) fn are_wanted(&self) -> bool {
         self.topic.as_ref().is_some_and(|topic| topic.is_wanted())
     }
@@ -76,13 +76,13 @@ mod topic {
             EventTopic { participant, publisher: Mutex::new(None) }
         }
 
-        /// Makes the publisher, if there is none, so that others see it before they hear it.
+        /// Whether there is a subscription. Creates the publisher, if there is none, so that others discover it before its first message.
         pub(super) fn is_wanted(&self) -> bool {
             let mut publisher = self.publisher.lock().unwrap_or_else(PoisonError::into_inner);
             self.opened(&mut publisher).is_some_and(|publisher| publisher.subscription_count() != 0)
         }
 
-        /// A change is made whether it can be published or not.
+        /// Publishes a change. A failure is only logged: the change is made in any case.
         pub(super) fn publish(&self, node: &str, changes: &Changes<'_>) {
             let mut publisher = self.publisher.lock().unwrap_or_else(PoisonError::into_inner);
             let publisher =

@@ -17,7 +17,7 @@ use tautline_ros_msgs::rcl_interfaces::srv::{
 use tautline_transport::Qos;
 use tautline_transport::{Claim, Limits};
 
-/// Changes that wait in the stream; of more the newest are left out, and that is said in the log.
+/// Capacity of the stream of changes; if it is full, further changes are dropped, and a warning is logged.
 const CHANGES: usize = 1000;
 
 impl Node {
@@ -68,7 +68,7 @@ impl Node {
         Ok((answers.map(drop), changed))
     }
 
-    /// A service below the node's name that is seldom asked, and the future that answers.
+    /// Creates a service below the node's name that is seldom called. Returns the future that responds.
     pub(crate) fn answer<S: Service>(
         &mut self,
         name: &str,
@@ -78,7 +78,7 @@ impl Node {
         S::Request: Clone,
     {
         let name = format!("~/{name}");
-        // Asked by no real-time thread: until then it takes no memory for answers, unless somebody wants it to.
+        // No real-time thread calls it: memory for responses is claimed on use, unless limits were set.
         let limits = Limits { claim: Claim::OnUse, ..Limits::default() };
         self.service_limits.entry(self.resolve_service_name(&name)?).or_insert(limits);
         let requests = self.create_service::<S>(&name, Qos::parameters())?.owned();
@@ -95,7 +95,7 @@ impl Node {
 
 fn notify(stream: &mut mpsc::Sender<(String, ParameterValue)>, changed: Changed) {
     for change in changed {
-        // Nobody may want them.
+        // The stream may have been dropped.
         if stream.try_send(change).is_err_and(|error| error.is_full()) {
             tracing::warn!(
                 "{CHANGES} parameter changes are queued in the stream: a further change is dropped from it"

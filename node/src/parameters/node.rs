@@ -9,7 +9,7 @@ use crate::error::Result;
 use crate::node::Node;
 use std::path::Path;
 
-/// What the command line, parameter files and a node's options give the node of this name. Later ones count.
+/// The values that the command line, parameter files and a node's options give the node of this name. Later ones count.
 pub(crate) fn overrides(
     rules: &[(String, Vec<(String, ParameterValue)>)],
     own: &[(String, ParameterValue)],

@@ -10,7 +10,7 @@ pub struct Parameter {
     pub value: ParameterValue,
     /// Its description.
     pub descriptor: ParameterDescriptor,
-    /// If not, it was given on the command line, or put here: then nothing is checked.
+    /// If false, the value was given on the command line, or inserted directly: then nothing is checked.
     pub(crate) declared: bool,
 }
 

@@ -31,11 +31,11 @@ pub struct ParameterReader<T> {
     changed: Arc<AtomicWaker>,
 }
 
-/// The other side of a reader: takes a new value, if there is one, and says whether there is a reader still.
+/// The other side of a reader: takes a new value, if there is one, and returns whether the reader still exists.
 pub(super) type Feed = Box<dyn FnMut(Option<&ParameterValue>) -> bool + Send>;
 
 impl<T: ParameterVariant> ParameterReader<T> {
-    /// A reader with its first value, and what feeds it.
+    /// A reader with its first value, and its feed.
     pub(super) fn new(name: &str, first: T) -> (ParameterReader<T>, Feed) {
         let (mut writer, latest) = latest(first);
         let changed = Arc::new(AtomicWaker::new());

@@ -35,7 +35,7 @@ pub trait RosParams {
     /// Puts the fields into `params` under `prefix`, after it has taken the values that are there.
     ///
     /// # Errors
-    /// What is there does not fit.
+    /// A value in `params` does not fit.
     fn register_parameters(
         &mut self,
         prefix: &str,

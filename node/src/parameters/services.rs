@@ -13,16 +13,16 @@ use tautline_ros_msgs::rcl_interfaces::srv::{
 const DEPTH_RECURSIVE: u64 = 0;
 const SEPARATOR: char = '.';
 
-/// What has another value now, for the stream of changes.
+/// The parameters with a new value, for the stream of changes.
 pub(super) type Changed = Vec<(String, ParameterValue)>;
 
-/// Of parameters that there are not: not set.
+/// The values of parameters; "not set" for a parameter that does not exist.
 pub(super) fn get(parameters: &Parameters, request: &GetParameters::Request) -> GetParameters::Response {
     let values = parameters.values(&request.names);
     GetParameters::Response { values: values.iter().map(Into::into).collect() }
 }
 
-/// Of parameters that there are not: not set.
+/// The types of parameters; "not set" for a parameter that does not exist.
 pub(super) fn get_types(
     parameters: &Parameters,
     request: &GetParameterTypes::Request,
@@ -31,7 +31,7 @@ pub(super) fn get_types(
     GetParameterTypes::Response { types: values.iter().map(|value| value.parameter_type() as u8).collect() }
 }
 
-/// Of parameters that there are not: the name only.
+/// Describes parameters; for a parameter that does not exist, only the name.
 pub(super) fn describe(
     parameters: &Parameters,
     request: &DescribeParameters::Request,
@@ -43,7 +43,7 @@ pub(super) fn describe(
     DescribeParameters::Response { descriptors: request.names.iter().map(describe).collect() }
 }
 
-/// Those that are, or lie up to `depth` names below, one of the prefixes; without prefixes all of so many names.
+/// Lists the parameters that equal a prefix or are up to `depth` names below one; without prefixes, all of up to `depth` names.
 pub(super) fn list(parameters: &Parameters, request: &ListParameters::Request) -> ListParameters::Response {
     let shallow = |rest: &str| {
         request.depth == DEPTH_RECURSIVE || (rest.matches(SEPARATOR).count() as u64) < request.depth
@@ -65,7 +65,7 @@ pub(super) fn list(parameters: &Parameters, request: &ListParameters::Request) -
     ListParameters::Response { result: ListParametersResult { names, prefixes } }
 }
 
-/// One after the other: one that is refused does not stop those behind it.
+/// Sets parameters one after the other: a refused one does not stop the following ones.
 pub(super) fn set(
     parameters: &Parameters,
     request: SetParameters::Request,
@@ -78,7 +78,7 @@ pub(super) fn set(
     (SetParameters::Response { results: results.collect() }, changed)
 }
 
-/// All or none.
+/// Sets all parameters or none.
 pub(super) fn set_atomically(
     parameters: &Parameters,
     request: SetParametersAtomically::Request,

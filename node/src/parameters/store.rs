@@ -14,7 +14,7 @@ use indexmap::IndexMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread::ThreadId;
 
-/// Every node has it, if it has clocks.
+/// The parameter that every node with a clock has.
 const USE_SIM_TIME: &str = "use_sim_time";
 
 /// By name, in the order in which they were given or declared.
@@ -55,7 +55,7 @@ struct Hooks {
     events: ParameterEvents,
 }
 
-/// A struct, and which parameters are its fields.
+/// A struct, and the names of the parameters that are its fields.
 struct OfStruct {
     fields: Vec<String>,
     value: SharedStruct,
@@ -123,7 +123,7 @@ impl Parameters {
         let change = [(name.to_owned(), given.clone())];
         self.run_checks(&change)?;
         let first = T::from_value(given.clone()).map_err(|_| {
-            // Dynamically typed, and given as another type than that of the default, which the reader is of.
+            // Dynamically typed, and given with another type than the default's, which is the reader's type.
             ParameterError::wrong_type(name, default.parameter_type(), &given)
         })?;
         let parameter = Parameter { value: given, descriptor, declared: true };
@@ -180,7 +180,7 @@ impl Parameters {
     where
         ParameterValue: TryInto<T, Error = WrongParameterType>,
     {
-        // Not through `hooks`: a callback that checks a change may look.
+        // Not through `hooks`, so that a callback that checks a change may read.
         let value = lock(&self.shared.map).get(name).map(|parameter| parameter.value.clone());
         let known = value.clone().unwrap_or_default();
         known.try_into().map_err(|error| {
@@ -221,7 +221,7 @@ impl Parameters {
         self.change(values.into_iter().collect()).map(drop)
     }
 
-    /// Sets all or none, and says which have another value now.
+    /// Sets all or none. Returns the parameters with a new value.
     pub(super) fn change(
         &self,
         mut values: Vec<(String, ParameterValue)>,
@@ -243,7 +243,7 @@ impl Parameters {
                         }
                     }
                     None if takes_any => new.push(index),
-                    // What was given and not declared may still be declared: then it counts.
+                    // A value that was given, but not declared, counts when the parameter is declared later.
                     _ => return Err(ParameterError::NotDeclared { name: name.clone() }.into()),
                 }
             }
@@ -270,7 +270,7 @@ impl Parameters {
                     changed.push((name.clone(), value.clone()));
                 }
             }
-            // Not what a later value of the same change has set again.
+            // Except parameters that a later value of the same change has set again.
             for (name, _) in deleted.iter().map(|index| &values[*index]) {
                 if map.get(name).is_some_and(|parameter| parameter.value == ParameterValue::NotSet) {
                     map.shift_remove(name);
@@ -285,7 +285,7 @@ impl Parameters {
             let (mut of_new, mut of_changed, mut of_deleted) = (Vec::new(), Vec::new(), Vec::new());
             for (index, value) in values.into_iter().enumerate() {
                 match index {
-                    // Sorted, for they were found in this order.
+                    // Sorted, because they were found in this order.
                     _ if new.binary_search(&index).is_ok() => of_new.push(value),
                     _ if deleted.binary_search(&index).is_ok() => of_deleted.push(value),
                     _ => of_changed.push(value),
@@ -380,7 +380,7 @@ impl Parameters {
         Ok(())
     }
 
-    /// The current values of these parameters, those of a struct as they are there.
+    /// The current values of these parameters; fields of a struct have the struct's values.
     #[cfg(feature = "rcl_interfaces")]
     pub(super) fn values(&self, names: &[String]) -> Vec<ParameterValue> {
         let hooks = lock(&self.shared.hooks);
@@ -394,7 +394,7 @@ impl Parameters {
         in_struct.or_else(|| lock(&self.shared.map).get(name).map(|parameter| parameter.value.clone()))
     }
 
-    /// For a change of `name`.
+    /// Locks the hooks for a change of `name`; an error in a callback of a change.
     fn hooks(&self, name: &str) -> Result<MutexGuard<'_, Hooks>> {
         if *lock(&self.shared.changing) == Some(std::thread::current().id()) {
             return Err(ParameterError::InCallback { name: name.to_owned() }.into());
@@ -412,7 +412,7 @@ impl Parameters {
         refused.map_or(Ok(()), |reason| Err(ParameterError::Rejected { reason }))
     }
 
-    /// While this lives, callbacks run in this thread. Ends with their panic, too.
+    /// Marks this thread as the one in which callbacks run, until the result is dropped, also by a panic.
     fn changing(&self) -> Changing<'_> {
         *lock(&self.shared.changing) = Some(std::thread::current().id());
         Changing(&self.shared.changing)
@@ -438,7 +438,7 @@ impl OfStruct {
 
 impl Hooks {
     fn reader<T: ParameterVariant>(&mut self, name: &str, first: T) -> ParameterReader<T> {
-        // Those of readers that are gone, whose parameter may never be set again.
+        // Removes feeds of dropped readers, whose parameter may never be set again.
         self.feeds.retain_mut(|(_, feed)| feed(None));
         let (reader, feed) = ParameterReader::new(name, first);
         self.feeds.push((name.to_owned(), feed));
@@ -461,7 +461,7 @@ impl Drop for OnSetParameters {
                 let index = checks.list.iter().position(|(number, _)| *number == self.number);
                 index.map(|index| checks.list.remove(index))
             };
-            // What it owns is dropped without the lock: that may be another callback.
+            // Dropped without the lock, because it may own another callback.
             drop(ended);
         }
     }

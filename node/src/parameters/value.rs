@@ -73,7 +73,7 @@ impl ParameterValue {
         WrongParameterType { expected_type_name, actual_type_name }
     }
 
-    /// As `wanted`, if it is an array of nothing, whose type YAML does not say.
+    /// Converts to `wanted` what YAML has no type for: an empty array, or bytes.
     pub(crate) fn of_type(self, wanted: ParameterType) -> Self {
         match (self, wanted) {
             (Self::StringArray(empty), _) if !empty.is_empty() => Self::StringArray(empty),
@@ -147,7 +147,7 @@ pub struct UnknownParameterType {
     pub number: u8,
 }
 
-/// A Rust type that a parameter's value can have: those of [`ParameterValue`], and itself for parameters of any type.
+/// A Rust type that a parameter's value can have: those of [`ParameterValue`], and `ParameterValue` for parameters of any type.
 pub trait ParameterVariant: Clone + Into<ParameterValue> + Send + Sync + 'static {
     /// The parameter's type; `None` if it may be any.
     const TYPE: Option<ParameterType>;

@@ -4,7 +4,7 @@
 use super::ParameterValue;
 use granit_parser::{Event, Parser, ScalarStyle, StrInput};
 
-/// How deep mappings may lie in each other.
+/// Maximum depth of nested mappings.
 const MAX_DEPTH: usize = 64;
 
 /// The content of a parameter file: for each pattern of nodes' names its parameters, in the order of the file. As in rcl, a node and a parameter
@@ -174,7 +174,7 @@ fn double(text: &str) -> Option<f64> {
 }
 
 fn array(values: Vec<ParameterValue>) -> Result<ParameterValue, String> {
-    /// All of them, if each is one of these.
+    /// The array of this type, if each value has the item type.
     macro_rules! all {
         ($variant:ident, $array:ident) => {{
             let mut same = Vec::with_capacity(values.len());
@@ -197,7 +197,7 @@ fn array(values: Vec<ParameterValue>) -> Result<ParameterValue, String> {
         Some(ParameterValue::Bool(_)) => all!(Bool, BoolArray),
         Some(ParameterValue::Integer(_)) => all!(Integer, IntegerArray),
         Some(ParameterValue::Double(_)) => all!(Double, DoubleArray),
-        // Without items: the parameter's declaration knows of what.
+        // An empty array: the parameter's declaration states the item type.
         _ => all!(String, StringArray),
     }
 }

@@ -163,7 +163,7 @@ pub struct ResponseFuture<T: ServiceCodec> {
     limit: Option<Limit>,
 }
 
-/// Until when a response is waited for.
+/// The time limit of a response.
 struct Limit {
     /// Rings only once: a timer would continue to ring as long as the future is not polled.
     alarm: Alarm,
@@ -179,7 +179,7 @@ impl Limit {
         Ok(Limit { alarm, timeout, service: service.to_owned() })
     }
 
-    /// Ready when it is too late.
+    /// Ready with an error when the time-out has expired.
     fn poll(&mut self, context: &mut Context<'_>) -> Poll<Error> {
         let Limit { alarm, timeout, service } = self;
         let late = alarm.poll(context);

@@ -18,7 +18,7 @@ use crate::node::Node;
 use tautline_msgs::Service;
 use tautline_transport::{Limits, Qos};
 
-/// A service's queues keep all: of the quality of service the depth counts, which is how many requests of one client can
+/// A service's queues are keep-all: of the QoS only the depth is used, as the number of requests of one client that can
 /// wait at a server.
 ///
 /// A request goes to every server, as in ROS 2, and the first response counts. Without a server it is an error: wait with [`Client::wait_for_service`] first. If all servers that got it end or are

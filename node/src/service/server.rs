@@ -168,7 +168,7 @@ impl<T: ServiceCodec> Stream for Requests<T> {
 
     fn poll_next(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<ServiceRequest<T>>> {
         let taken = self.service.lock().requests.poll_next(context);
-        // Copied when others may take and answer.
+        // Copied after the lock was released, so that other threads can take and respond.
         taken.map(|request| {
             let request = request?;
             let message = request.message().to_owned();
@@ -203,7 +203,7 @@ impl<T: ServiceCodec<Error: Into<Error>>> ServiceRequest<T> {
         self.reply.id
     }
 
-    /// What is asked, and the means to answer.
+    /// The request's message, and the means to respond.
     #[cfg(feature = "action_msgs")]
     pub(crate) fn into_parts(self) -> (<T::Request as Decode>::Owned, Reply<T>) {
         (self.message, self.reply)
@@ -220,7 +220,7 @@ where
     }
 }
 
-/// The means to answer one request.
+/// The means to respond to one request.
 pub(crate) struct Reply<T: ServiceCodec> {
     id: RequestId,
     /// Held while a response is written and sent, and while requests are taken.
@@ -228,7 +228,7 @@ pub(crate) struct Reply<T: ServiceCodec> {
 }
 
 impl<T: ServiceCodec<Error: Into<Error>>> Reply<T> {
-    /// Whether the client that asked is still there.
+    /// Whether the client of the request still exists.
     #[cfg(feature = "action_msgs")]
     pub(crate) fn is_awaited(&self) -> bool {
         let service = self.service.lock();

@@ -97,7 +97,7 @@ impl Clock {
     pub async fn sleep_until(&self, until: Duration, context: &Context) -> Result<()> {
         /// How long the system's clock is trusted not to be set.
         const LONGEST: Duration = Duration::from_secs(1);
-        // Also woken when the clock comes to show another time.
+        // Also woken when the clock's time source changes.
         let waiter = self.source.as_ref().map(TimeSource::waiter).transpose()?;
         loop {
             let left = until.saturating_sub(self.now());

@@ -80,7 +80,7 @@ pub struct JumpThreshold {
 }
 
 impl Default for JumpThreshold {
-    /// All back, and changes of the clock.
+    /// All jumps back, and changes of the clock's time source.
     fn default() -> JumpThreshold {
         JumpThreshold { min_forward: None, min_backward: Some(Duration::ZERO), on_clock_change: true }
     }
@@ -106,7 +106,7 @@ pub struct JumpCallback {
     number: u64,
 }
 
-/// Most that wait for a node's simulated time at once.
+/// Maximum of tasks that wait for a node's simulated time at once.
 const WAITING: usize = 64;
 
 /// The tasks that the sampler wakes when a message of `/clock` has arrived.
@@ -134,7 +134,7 @@ impl ArcWake for ClockWaiters {
     }
 }
 
-/// A place among those that wait.
+/// A place in [`ClockWaiters`].
 pub(crate) struct ClockWaiter {
     source: TimeSource,
     index: usize,
@@ -191,7 +191,7 @@ impl TimeSource {
             return Ok(());
         }
         let qos = Qos::keep_last(1).best_effort();
-        // Made and dropped while nobody who reads the time waits for it.
+        // Created and dropped without the lock that threads that read the time take.
         let mut subscription = match enabled {
             true => Some(participant.create_subscription(topic, qos, Limits::default())?),
             false => None,
@@ -215,7 +215,7 @@ impl TimeSource {
         Ok(())
     }
 
-    /// The simulated time, if it is to be shown.
+    /// The simulated time, if it is enabled.
     pub(super) fn simulated_ns(&self) -> Option<i64> {
         if !self.is_enabled() {
             return None;
@@ -224,7 +224,7 @@ impl TimeSource {
         Some(self.shared.now_ns.load(Ordering::Relaxed))
     }
 
-    /// Reads what `/clock` has brought.
+    /// Reads the new messages of `/clock`.
     ///
     /// # Real-time
     /// At most eight messages, one unless more come just now; no allocation, but for callbacks that want to know of the jump. Another
@@ -269,7 +269,7 @@ impl TimeSource {
         JumpCallback { shared: Arc::downgrade(&self.shared), number }
     }
 
-    /// A place to be woken.
+    /// Claims a place for a task to be woken.
     pub(super) fn waiter(&self) -> Result<ClockWaiter> {
         let claimed = &self.shared.waiting.claimed;
         let claim = |claimed: u64| (claimed != u64::MAX).then(|| claimed | (claimed + 1));
@@ -285,7 +285,7 @@ impl ClockWaiter {
         &self.source
     }
 
-    /// From now on the task is woken when the time may have changed, or another one is shown.
+    /// Registers the task to be woken when the time, or its source, may have changed.
     pub(super) fn register(&self, context: &Context<'_>) {
         self.source.shared.waiting.wakers[self.index].register(context.waker());
     }
@@ -294,7 +294,7 @@ impl ClockWaiter {
 impl Drop for ClockWaiter {
     fn drop(&mut self) {
         let waiting = &self.source.shared.waiting;
-        // Before the place is another one's.
+        // Before another waiter can claim the place.
         waiting.wakers[self.index].take();
         waiting.claimed.fetch_and(!(1 << self.index), Ordering::AcqRel);
     }
@@ -306,7 +306,7 @@ impl Drop for JumpCallback {
             let mut callbacks = shared.callbacks.lock();
             let own = callbacks.list.iter().position(|(number, ..)| *number == self.number);
             let own = own.map(|place| callbacks.list.remove(place));
-            // What it owns may be another one of these: dropped without the lock.
+            // Dropped without the lock, because it may own another callback.
             drop(callbacks);
             drop(own);
         }

@@ -8,7 +8,7 @@ use tautline_rt::clock::monotonic_ns;
 use tautline_sampler::{Events, GuardCondition, Tick};
 use tautline_transport::NodeHandle;
 
-/// Follows the ROS clock: while it shows the system's time, a timer of the sampler; while it shows simulated time, that.
+/// Follows the ROS clock: with a timer of the sampler while it shows the system's time, else by simulated time.
 pub(crate) struct RosTimer {
     waiter: ClockWaiter,
     events: Events,
@@ -34,8 +34,8 @@ struct Schedule {
 }
 
 impl Schedule {
-    /// Releases until `now_ns`, and when the last one of them was due. A clock that went back begins a new period, as does
-    /// one that has only come to be known: with the simulation's first message.
+    /// The number of releases until `now_ns`, and the time at which the last one was due. A new period begins when the clock
+    /// has gone back, and when the time becomes known with the simulation's first message.
     fn released(&mut self, now_ns: i64, period_ns: i64) -> Option<(u64, i64)> {
         let next = match self.next {
             Some((next, last)) if now_ns >= last => next,
@@ -77,7 +77,7 @@ impl RosTimer {
         self.missed
     }
 
-    /// The next release, and since when it could be served, in `CLOCK_MONOTONIC`.
+    /// The next release, and the `CLOCK_MONOTONIC` time since which it could be served.
     pub(crate) fn poll_tick(&mut self, context: &mut Context<'_>) -> Poll<(Tick, u64)> {
         self.waiter.register(context);
         let _ = self.end.poll_triggered(context);

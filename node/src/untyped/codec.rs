@@ -52,7 +52,7 @@ impl Codec for Json {
         Ok(loan)
     }
 
-    /// Decoded once to check it. Little-endian bytes are then copied as they are, without what other middleware appended.
+    /// Publishes CDR, decoded once to check it. Little-endian bytes are then copied as they are, without what other middleware appended.
     fn publish_cdr(publisher: &Publisher<Json>, cdr: &[u8]) -> Result<()> {
         let message = DynamicMessage::from_cdr(publisher.definition(), cdr)?;
         let published = match split_header(cdr) {

@@ -14,13 +14,13 @@ use tautline_definitions::{DefinitionError, find_schema, type_of};
 use tautline_schema::{Schema, TypeName};
 use tautline_transport::{EndpointKind, Publisher, Qos, SchemaStore, TopicEndpoint, TopicType};
 
-/// How long the gateway is waited for to learn a type, and how often it is looked whether it has.
+/// Time-out for the gateway to learn a type, and the interval of the checks whether it has.
 const PATIENCE: Duration = Duration::from_secs(5);
 const LOOK_PERIOD: Duration = Duration::from_millis(20);
 
-/// Where definitions are looked for, in this order: what was kept for the hash of the topic, if it exists (every process
-/// keeps the definitions of its types in `/tmp/tautline_<uid>/schemas`); the packages of `AMENT_PREFIX_PATH`; those that are
-/// bundled; the nodes of other hosts that publish the topic, through this host's gateway.
+/// Definitions are searched in this order: the stored definition for the hash of the topic, if it exists (every process
+/// stores the definitions of its types in `/tmp/tautline_<uid>/schemas`); the packages of `AMENT_PREFIX_PATH`; the bundled
+/// packages; the nodes of other hosts that publish the topic, through this host's gateway.
 impl Node {
     /// Subscribes to a topic of a type that is known by name: a stream of samples, each of which can be copied as JSON by the type's
     /// definition; the copy is an error if the sample is not valid for the type. [`Subscription::owned`] converts it into a stream of these
@@ -109,7 +109,7 @@ impl Node {
         Ok(self.graph()?.endpoints.iter().any(is_it))
     }
 
-    /// The gateway asks for the types of what it brings here, which is what somebody subscribes to.
+    /// Subscribes to the topic and waits: the gateway requests the types of the topics that it forwards, which need a subscription.
     fn wait_for_definition(&self, topic: &str, topic_type: &TopicType) -> Result<()> {
         let Some(hash) = &topic_type.hash else { return Ok(()) };
         let limits = self.limits_of(topic);

@@ -32,7 +32,7 @@
 //! ```
 #![forbid(unsafe_code)]
 
-/// Made of what is beneath it, and dereferenced to that.
+/// Implements the conversion from the wrapped type, and the dereference to it.
 macro_rules! beneath {
     ($name:ident $(<$type:ident: $bound:ident>)? $(, $rest:expr)?) => {
         beneath!($name $(<$type: $bound>)? = tautline::$name$(<$type>)? $(, $rest)?);

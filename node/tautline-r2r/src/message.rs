@@ -89,7 +89,7 @@ impl<T> AsRef<T> for NativeMsg<T> {
 /// The ROS 2 whose message definitions are bundled.
 pub const ROS_DISTRO: &str = "jazzy";
 
-/// Nothing: there always is simulated time.
+/// Does nothing: simulated time is always available.
 #[macro_export]
 macro_rules! assert_compiled_with_use_sim_time_support {
     () => {};

@@ -31,7 +31,7 @@ pub enum ReliabilityPolicy {
 pub enum DurabilityPolicy {
     /// The last `depth` samples.
     TransientLocal,
-    /// They do not.
+    /// No earlier samples.
     Volatile,
     /// As volatile.
     SystemDefault,

@@ -54,7 +54,7 @@ impl Clock {
 pub struct TimeSource(tautline::TimeSource);
 
 impl TimeSource {
-    /// From now on `clock`, of type [`ClockType::RosTime`], shows the time of the node's ROS clock.
+    /// Makes `clock`, of type [`ClockType::RosTime`], show the time of the node's ROS clock from now on.
     ///
     /// # Errors
     /// [`Error::ClockTypeNotRosTime`].

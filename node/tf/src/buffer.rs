@@ -175,7 +175,7 @@ impl Buffer {
         let way = |target, source, time: Time| {
             self.tree.path(target, source, time.stamp_ns()).map_err(|error| (target, source, error))
         };
-        // The inner error is that of one of the two ways, the outer one that of the epoch.
+        // The inner error is that of one of the two paths, the outer one that of the epoch.
         let paths = self.tree.in_one_epoch(|| {
             let both = || Ok((way(fixed, source, source_time)?, way(target, fixed, target_time)?));
             Ok(both())

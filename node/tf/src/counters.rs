@@ -43,7 +43,7 @@ counters! {
     cleared,
 }
 
-/// Counts. Only the writer may.
+/// Increments a counter. Only the writer may call this.
 pub(crate) fn count(counter: &AtomicU64) {
     counter.store(counter.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
 }

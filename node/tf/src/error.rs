@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Errors, none of which allocates; they name the frames and what to do.
+//! Errors, none of which allocates; they name the frames and the fix.
 
 use std::fmt;
 use std::sync::Arc;

@@ -19,7 +19,7 @@ pub struct Limits {
     pub samples: usize,
     /// Samples older than a frame's newest sample by more than this are ignored. As in tf2, 10 s by default.
     pub cache_time: Duration,
-    /// How many futures of [`Buffer::wait_for`](crate::Buffer::wait_for) may wait at a time. At most 2^24.
+    /// Maximum of waiting futures of [`Buffer::wait_for`](crate::Buffer::wait_for). At most 2^24.
     pub waiters: usize,
 }
 

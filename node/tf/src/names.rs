@@ -20,7 +20,7 @@ impl FrameName {
     /// The longest name, in bytes of UTF-8.
     pub const MAX_BYTES: usize = 64;
 
-    /// What stands for a number that this buffer did not give.
+    /// The placeholder for a number that this buffer did not assign.
     pub(crate) const FOREIGN: FrameName = {
         let mut bytes = [0; FrameName::MAX_BYTES];
         let text = b"(a FrameId of another buffer)";
@@ -28,8 +28,8 @@ impl FrameName {
         FrameName(bytes)
     };
 
-    /// The name of a frame without the slash that it may begin with, or what fits of it if it names no frame: if it is
-    /// empty, longer than [`MAX_BYTES`](Self::MAX_BYTES), or has a zero byte.
+    /// The name of a frame without a leading slash. The error is the truncated name, if it is not valid: empty, longer than
+    /// [`MAX_BYTES`](Self::MAX_BYTES), or with a zero byte.
     pub(crate) fn parse(name: &str) -> Result<FrameName, FrameName> {
         let name = name.strip_prefix('/').unwrap_or(name);
         let usable = name.len().min(FrameName::MAX_BYTES);
@@ -43,7 +43,7 @@ impl FrameName {
     /// The name as text.
     pub fn as_str(&self) -> &str {
         let end = self.0.iter().position(|byte| *byte == 0).unwrap_or(self.0.len());
-        // Made of whole characters only.
+        // The name consists of whole characters only.
         str::from_utf8(&self.0[..end]).unwrap_or_default()
     }
 
@@ -122,7 +122,7 @@ impl Names {
     }
 
     /// # Real-time
-    /// Wait-free. On average under two names are compared, at most all that there are.
+    /// Wait-free. On average fewer than two names are compared, at most all.
     pub(crate) fn find(&self, name: &FrameName) -> Option<FrameId> {
         for slot in self.probe(name) {
             // Acquire: pairs with the Release in `insert`, which comes after the name.
@@ -134,13 +134,13 @@ impl Names {
         None
     }
 
-    /// The name of a frame; nothing if it is another buffer's frame.
+    /// The name of a frame; `None` if it is another buffer's frame.
     pub(crate) fn get(&self, frame: FrameId) -> Option<FrameName> {
         let words = self.names.get(frame.0 as usize)?;
         Some(FrameName::of_words(std::array::from_fn(|word| words[word].load(Ordering::Relaxed))))
     }
 
-    /// The number of a name that is not there yet; nothing if the table is full. Only the writer may.
+    /// Adds a name that is not in the table, and returns its number; `None` if the table is full. Only the writer may call this.
     pub(crate) fn insert(&self, name: &FrameName) -> Option<FrameId> {
         let number = self.len();
         for (slot, word) in self.names.get(number)?.iter().zip(name.words()) {

@@ -19,7 +19,7 @@ use crate::slot::{Kind, Sample, Slot};
 use crate::sync::{AtomicU64, Ordering};
 use crate::transform::Transform;
 
-/// How often something is read again that the writer has overwritten a whole ring of samples, or a `clear`, later.
+/// Maximum of attempts of a read that whole rings of new samples, or a `clear`, interrupt.
 pub(crate) const TRIES: usize = 3;
 
 /// The transform of a frame in its parent at one time.
@@ -27,7 +27,7 @@ pub(crate) const TRIES: usize = 3;
 pub(crate) struct Edge {
     pub(crate) parent: u32,
     pub(crate) transform: Transform,
-    /// Nothing for static ones.
+    /// `None` for static transforms.
     pub(crate) stamp_ns: Option<i64>,
 }
 
@@ -58,7 +58,7 @@ struct Run {
     gone_ns: Option<i64>,
 }
 
-/// What the writer sets.
+/// A sample that the writer sets.
 pub(crate) struct New {
     pub(crate) stamp_ns: i64,
     pub(crate) parent: u32,
@@ -89,7 +89,7 @@ pub(crate) enum Refused {
 pub(crate) struct Ring<'m> {
     /// Number + 1 of the newest sample; zero: none.
     pub(crate) newest: &'m AtomicU64,
-    /// A power of two of them, two at least.
+    /// The number of slots is a power of two, at least two.
     pub(crate) slots: &'m [Slot],
 }
 
@@ -102,7 +102,7 @@ impl Ring<'_> {
         self.slot(number).read(number)
     }
 
-    /// Takes a sample. Only the writer may; `head` is the frame's.
+    /// Stores a sample. Only the writer may call this; `head` is the frame's.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall. Writes one slot; if the stamp is not the newest, searches as `at` does.
@@ -152,7 +152,7 @@ impl Ring<'_> {
         Ok(StoreResult { late, moved: run.is_none_or(|run| run.parent != new.parent) })
     }
 
-    /// The samples between which one belongs that came late.
+    /// The samples between which a late sample belongs.
     fn between(
         &self,
         run: &Run,
@@ -169,7 +169,7 @@ impl Ring<'_> {
         if stamp_ns <= above_ns {
             return Err(Refused::Old { above_ns });
         }
-        // All that is above `gone_ns` is there, and nobody but this thread overwrites it.
+        // All samples later than `gone_ns` are in the ring, and only this thread overwrites them.
         let enclosing = self.read(run.newest).and_then(|newest| self.enclosing(&newest, stamp_ns));
         match enclosing {
             Some((_, Some(older))) if older.stamp_ns == stamp_ns => Err(Refused::Repeated),
@@ -178,7 +178,7 @@ impl Ring<'_> {
         }
     }
 
-    /// Forgets all samples, unless they are static. Only the writer may.
+    /// Removes all samples, unless they are static. Only the writer may call this.
     pub(crate) fn clear(&self, head: &mut FrameHead) {
         if head.run.is_some_and(|run| run.kind == Kind::Dynamic) {
             head.run = None;
@@ -197,7 +197,7 @@ impl Ring<'_> {
         Err(Miss::Overtaken)
     }
 
-    /// The transform at a stamp: nothing if none was set.
+    /// The transform at a stamp: `None` if none was set.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall. Reads log2(samples) + 4 slots, and those of the samples between two others
@@ -217,15 +217,15 @@ impl Ring<'_> {
         Err(Miss::Extrapolation { oldest_ns: self.oldest_ns(&newest, kept_ns), newest_ns: newest.stamp_ns })
     }
 
-    /// The two samples that enclose a stamp below `newest`'s: the first is above it, the second is not. Nothing if the
+    /// The two samples that enclose a stamp below `newest`'s: the first is later than the stamp, the second is not. `None` if the
     /// first one has left the ring.
     fn enclosing(&self, newest: &Sample, stamp_ns: i64) -> Option<(Sample, Option<Sample>)> {
         let mut newer = self.read(self.first_above(newest, stamp_ns))?;
         if newer.stamp_ns != newer.newest_ns {
-            // It came late: the one that was the newest then is above the stamp, too, and has left the ring.
+            // The sample came late: the sample that was the newest then is later than the stamp, too, and has left the ring.
             return None;
         }
-        // A list that gets longer while it is read does not hold its reader for ever.
+        // The bound ends the read of a list that gets longer meanwhile.
         for _ in 0..self.slots.len() {
             match newer.older.and_then(|older| self.read(older)) {
                 Some(older) if older.stamp_ns > stamp_ns => newer = older,
@@ -243,14 +243,14 @@ impl Ring<'_> {
             let middle = low + (high - low) / 2;
             match self.slot(middle).newest_ns(middle) {
                 Some(newest_ns) if newest_ns > stamp_ns => high = middle,
-                // Not above it, or no longer there, and then what is before it is not, either.
+                // Not later than the stamp, or no longer in the ring, and neither are the samples before it.
                 _ => low = middle + 1,
             }
         }
         high
     }
 
-    /// The oldest stamp that is there and not below `kept_ns`.
+    /// The oldest stamp in the ring that is not below `kept_ns`.
     fn oldest_ns(&self, newest: &Sample, kept_ns: i64) -> i64 {
         let mut start = self.read(self.first_above(newest, kept_ns.saturating_sub(1)));
         if let Some(late) = start.filter(|start| start.stamp_ns != start.newest_ns) {
@@ -266,7 +266,7 @@ impl Ring<'_> {
         oldest_ns
     }
 
-    /// The oldest and the newest stamp and how many samples there are.
+    /// The oldest and the newest stamp, and the number of samples.
     pub(crate) fn span(&self, cache_ns: i64) -> Option<(i64, i64, usize)> {
         let newest = self.newest().ok()??;
         let kept_ns = newest.stamp_ns.saturating_sub(cache_ns);

@@ -15,7 +15,7 @@
 use crate::sync::{AtomicU64, Ordering, fence};
 use crate::transform::Transform;
 
-/// Words of a transform. Models keep the translation's x alone, which shows a torn sample as well.
+/// Words of a transform. Models keep only the translation's x, which shows a torn sample as well.
 const TRANSFORM_WORDS: usize = if cfg!(taut_loom) { 1 } else { 7 };
 const WORDS: usize = 4 + TRANSFORM_WORDS;
 
@@ -33,9 +33,9 @@ pub(crate) struct Sample {
     pub(crate) number: u64,
     pub(crate) older: Option<u64>,
     pub(crate) stamp_ns: i64,
-    /// The newest stamp of the run when this one was set: its own, unless it came late.
+    /// The newest stamp of the run when this sample was set: its own, unless it came late.
     pub(crate) newest_ns: i64,
-    /// Number of the first sample of the run, which ends when the frame is cleared or gets to be of the other kind.
+    /// Number of the first sample of the run, which ends when the frame is cleared or its kind changes.
     pub(crate) first: u64,
     pub(crate) parent: u32,
     pub(crate) kind: Kind,
@@ -58,11 +58,11 @@ impl Slot {
         Slot { number: word(0), older: word(0), words: std::array::from_fn(word) }
     }
 
-    /// Overwrites what is here. Only the writer may.
+    /// Overwrites the slot's sample. Only the writer may call this.
     pub(crate) fn write(&self, sample: &Sample) {
-        // Release: pairs with the Acquires in `while_holding`. A reader that finds the sample gone finds a newer one named.
+        // Release: pairs with the Acquires in `while_holding`. A reader that does not find the sample finds a newer one in `newest`.
         self.number.store(0, Ordering::Release);
-        // Pairs with the fence in `read`: whoever reads a word below does not find the old number again.
+        // Pairs with the fence in `while_holding`: a reader that reads a word below does not find the old number again.
         fence(Ordering::Release);
         self.older.store(link(sample.older), Ordering::Relaxed);
         for (slot, word) in self.words.iter().zip(words(sample)) {
@@ -72,13 +72,13 @@ impl Slot {
         self.number.store(sample.number + 1, Ordering::Release);
     }
 
-    /// Says which sample is next older than the one that is here, once that one is written. Only the writer may.
+    /// Sets the next older sample of the slot's sample, once the older one is written. Only the writer may call this.
     pub(crate) fn link(&self, older: u64) {
-        // Release: pairs with the Acquire in `read`, which will find the older sample whole.
+        // Release: pairs with the Acquire in `read`, which then finds the older sample complete.
         self.older.store(link(Some(older)), Ordering::Release);
     }
 
-    /// Sample `number`, if it is here still.
+    /// Sample `number`, if it is still in the slot.
     pub(crate) fn read(&self, number: u64) -> Option<Sample> {
         self.while_holding(number, || {
             // Acquire: pairs with the Release in `link`.
@@ -87,7 +87,7 @@ impl Slot {
         })
     }
 
-    /// `newest_ns` of sample `number`, if it is here still.
+    /// `newest_ns` of sample `number`, if it is still in the slot.
     pub(crate) fn newest_ns(&self, number: u64) -> Option<i64> {
         self.while_holding(number, || self.words[1].load(Ordering::Relaxed).cast_signed())
     }

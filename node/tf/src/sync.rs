@@ -9,7 +9,7 @@ pub(crate) use futures::task::AtomicWaker;
 #[cfg(taut_loom)]
 pub(crate) use loom::sync::atomic::{AtomicI64, AtomicU64, AtomicUsize, Ordering, fence};
 
-/// As `futures`': who registered last is woken by the next call.
+/// As `futures`': the next call wakes the task that registered last.
 #[cfg(taut_loom)]
 pub(crate) struct AtomicWaker(loom::sync::Mutex<Option<std::task::Waker>>);
 

@@ -25,18 +25,18 @@ pub(crate) struct TransformTree {
     pub(crate) waiters: Waiters,
 }
 
-/// At which time the tree is looked at.
+/// The time at which the tree is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum When {
     Newest,
     At(i64),
 }
 
-/// What takes coordinates in the source to coordinates in the target.
+/// The transform that takes coordinates in the source to coordinates in the target.
 #[derive(Clone, Copy)]
 pub(crate) struct Path {
     pub(crate) transform: Transform,
-    /// The time for which it holds. Nothing: for every time.
+    /// The time for which it holds; `None`: for every time.
     pub(crate) stamp_ns: Option<i64>,
 }
 
@@ -96,20 +96,20 @@ impl TransformTree {
         Some(Ring { newest, slots: self.slots.get(number * samples..(number + 1) * samples)? })
     }
 
-    /// Forgets all samples but static ones. Only the writer may.
+    /// Removes all samples except static ones. Only the writer may call this.
     pub(crate) fn clear(&self, heads: &mut [FrameHead]) {
         for (number, head) in (0..).zip(heads) {
             if let Some(ring) = self.ring(FrameId(number)) {
                 ring.clear(head);
             }
         }
-        // Release: pairs with the first Acquire in `in_one_epoch`. Who begins in the new epoch finds every ring empty; who began
-        // before it and finds something that was set since, sees that it has changed.
+        // Release: pairs with the first Acquire in `in_one_epoch`. A reader that begins in the new epoch finds every ring empty; a
+        // reader that began before it, and finds a sample that was set since, sees that the epoch has changed.
         let epoch = self.epoch.load(Ordering::Relaxed);
         self.epoch.store(epoch + 1, Ordering::Release);
     }
 
-    /// Reads what no `clear` came between.
+    /// Reads without a `clear` in between.
     pub(crate) fn in_one_epoch<R>(&self, read: impl Fn() -> Result<R, PathError>) -> Result<R, PathError> {
         for _ in 0..TRIES {
             // Acquire: pairs with the Release in `clear`.
@@ -123,7 +123,7 @@ impl TransformTree {
         Err(PathError::Overtaken)
     }
 
-    /// From `source` to `target` at a stamp, or at the latest common time of the frames on the way.
+    /// The path from `source` to `target` at a stamp, or at the latest common time of the frames on the way.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall. Reads every frame from the source to the root and from the target to the
@@ -165,7 +165,7 @@ impl TransformTree {
         path
     }
 
-    /// The stamp of the path is the oldest one of what is on it.
+    /// Walks the path from `source` to `target`. Its stamp is the oldest one of the transforms on it.
     fn walk(&self, target: FrameId, source: FrameId, when: When) -> Result<Path, PathError> {
         let start = Path { transform: Transform::IDENTITY, stamp_ns: None };
         if target == source {
@@ -173,7 +173,7 @@ impl TransformTree {
         }
         let mut stops = [Stop { frame: source.0, path: start }; MAX_DEPTH + 1];
         let mut len = 1;
-        // What is above the first common frame is not needed: whether it is there matters if there is none.
+        // The path above the first common frame is not needed: its error matters only if there is no common frame.
         let mut error = PathError::Connectivity;
         loop {
             let Stop { frame, path } = stops[len - 1];
@@ -200,7 +200,7 @@ impl TransformTree {
             len += 1;
         }
         let (mut frame, mut from_target) = (target, start);
-        // A cycle is passed without an end in sight: it is told from a long path by the frame at which it comes back.
+        // A cycle is distinguished from a path that is too long by a frame that occurs twice.
         let mut passed = [target.0; MAX_DEPTH];
         for depth in 0..=MAX_DEPTH {
             if let Some(common) = stops[..len].iter().find(|stop| stop.frame == frame.0) {
@@ -242,7 +242,7 @@ impl Path {
     }
 }
 
-/// The older one of what has a time.
+/// The older one of two stamps, of those that exist.
 fn oldest(one: Option<i64>, other: Option<i64>) -> Option<i64> {
     one.into_iter().chain(other).min()
 }

@@ -50,7 +50,7 @@ impl WaitFor {
         WaitFor { buffer, target, source, time, place: None }
     }
 
-    /// What there is, or what is missing.
+    /// Looks the transform up. The error is the interest: what is missing.
     fn lookup(&self) -> Result<Result<Stamped, LookupError>, u64> {
         let (Ok(target), Ok(source)) = (self.target.find(&self.buffer), self.source.find(&self.buffer))
         else {
@@ -71,7 +71,7 @@ impl WaitFor {
         }
     }
 
-    /// Says what is waited for, and looks again: whatever is set after that wakes.
+    /// Registers the interest, and looks the transform up again: a later set of it wakes the future.
     fn register(&self, place: usize, interest: u64) -> Result<Result<Stamped, LookupError>, u64> {
         // Release: pairs with the Acquire in `notify`.
         self.buffer.tree.waiters.places[place].interest.store(interest, Ordering::Release);
@@ -93,7 +93,7 @@ impl WaitFor {
         waiters.places[place].waker.register(cx.waker());
         match self.register(place, missing) {
             Err(still) if still == missing => Err(WaitOn::Set),
-            // It is about something else by now: any set will do.
+            // Something else is missing by now: any set wakes.
             Err(_) => self.register(place, ANY).map_err(|_| WaitOn::Set),
             ready => ready.map_err(|_| WaitOn::Set),
         }
@@ -102,7 +102,7 @@ impl WaitFor {
     fn leave(&mut self) {
         let waiters = &self.buffer.tree.waiters;
         if let Some(place) = self.place.take() {
-            // Before the place is another's.
+            // Before another future can claim the place.
             drop(waiters.places[place].waker.take());
             waiters.places[place].interest.store(FREE, Ordering::Release);
             waiters.taken.fetch_sub(1, Ordering::Relaxed);

@@ -14,7 +14,7 @@ use crate::names::FrameId;
 use crate::sync::{AtomicI64, AtomicU64, AtomicUsize, AtomicWaker, Ordering, fence};
 
 pub(crate) const FREE: u64 = 0;
-/// Every set may be the one.
+/// Any set may complete the path.
 pub(crate) const ANY: u64 = 1;
 pub(crate) const FRAME: u64 = 2;
 
@@ -43,7 +43,7 @@ impl Waiters {
         waiters * size_of::<Waiter>()
     }
 
-    /// Wakes who may go on now that a sample of `frame` was set: everyone, if it may matter to others, too.
+    /// Wakes the futures that wait for a sample of `frame`, which was set; all futures, if `everyone`.
     pub(crate) fn notify(&self, frame: FrameId, stamp_ns: i64, everyone: bool) {
         // Pairs with the fence in `WaitFor::register`.
         fence(Ordering::SeqCst);

@@ -112,7 +112,7 @@ impl Writer {
         if taken.late {
             count(&tree.counts.out_of_order);
         }
-        // What comes late, or from elsewhere in the tree, may complete a path that was missing something else.
+        // A sample that is late, or moves its frame, may complete a path on which another sample was missing.
         tree.waiters.notify(frame, stamp_ns, taken.late || taken.moved);
         Ok(())
     }

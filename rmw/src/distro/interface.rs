@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! By what a librmw is recognised, at build time and when it is loaded: it has no version that a program could read.
+//! Recognises a librmw's distribution, at build time and when it is loaded: it has no version that a program could read.
 
 /// Functions that came with a distribution, the newest first. Iron has Jazzy's interface, and Rolling the newest.
 const CAME_WITH: [(&str, &str); 3] = [

@@ -25,14 +25,14 @@ const INT64: u8 = 8;
 const ARRAY: u8 = 48;
 const BOUNDED: u8 = 96;
 const UNBOUNDED: u8 = 144;
-/// A bounded string is so much more.
+/// Added to the number of a string type if it is bounded; see `WITH_BOUND`.
 const STRING: u8 = 17;
 const WSTRING: u8 = 18;
 const WITH_BOUND: u8 = 4;
-/// By introspection's number of a primitive, from 1: float, double, long double, char, wchar, bool, octet, and integers.
+/// Indexed by introspection's number of a primitive, from 1: float, double, long double, char, wchar, bool, octet, and integers.
 const PRIMITIVES: [u8; 15] = [10, 11, 12, 13, 14, 15, 16, 3, 2, 5, 4, 7, 6, 9, 8];
 
-/// `std_msgs/msg/Bool` of `std_msgs__msg`, or `std_msgs::msg`, and `Bool`.
+/// Returns `std_msgs/msg/Bool` for `std_msgs__msg`, or `std_msgs::msg`, and `Bool`.
 ///
 /// # Safety
 /// Both are texts.
@@ -51,7 +51,7 @@ pub(crate) unsafe fn message(members: &Message) -> TypeDescription {
     described(name, types)
 }
 
-/// With the event that ROS derives from it.
+/// The description of a service, with the event message that ROS derives from it.
 ///
 /// # Safety
 /// As [`message`].
@@ -109,7 +109,7 @@ fn field(name: &str, type_id: u8, capacity: u64, nested: &str) -> FieldDescripti
     FieldDescription { name: name.to_owned(), ty, default_value: String::new() }
 }
 
-/// Adds a message and those it consists of. Returns its name.
+/// Adds a message and its nested messages. Returns its name.
 ///
 /// # Safety
 /// As [`message`].
@@ -130,7 +130,7 @@ unsafe fn visit(members: &Message, types: &mut Types) -> String {
             16 => string(STRING),
             17 => string(WSTRING),
             18 => NESTED,
-            // Which is refused.
+            // Not a type that has a number: it is refused.
             _ => 0,
         };
         let shape = match (member.is_array_, member.array_size_, member.is_upper_bound_) {

@@ -64,10 +64,10 @@ impl From<Expiry> for DeadlineMissed {
     }
 }
 
-/// Events that were found at one look and are given out one by one.
+/// Events that were found by one check and are returned one by one.
 pub(super) struct Ready<E>(VecDeque<E>);
 
-/// A look finds one of each kind at most.
+/// One check finds at most one event of each kind.
 const KINDS: usize = 6;
 
 impl<E> Ready<E> {
@@ -75,7 +75,7 @@ impl<E> Ready<E> {
         Ready(VecDeque::with_capacity(KINDS))
     }
 
-    /// Never grows: they are given out before there is another look.
+    /// Adds an event, if there is a status. Never grows: all events are returned before the next check.
     pub(super) fn add<S>(&mut self, event: impl FnOnce(S) -> E, status: Option<S>) {
         self.0.extend(status.map(event));
     }

@@ -12,7 +12,7 @@ use tautline_transport::{PublisherMonitor, RawPublisher, TransportError};
 /// stream for any task, which ends with the publisher. The sampler wakes it; the publisher only stores a time for it.
 #[must_use = "no events are reported unless it is polled"]
 pub struct PublisherEvents {
-    // Before what is rung for it.
+    // Dropped before the alarm, whose slot it rings.
     monitor: PublisherMonitor,
     alarm: Alarm,
     deadline: Option<Watchdog>,
@@ -20,7 +20,7 @@ pub struct PublisherEvents {
     ready: Ready<PublisherEvent>,
 }
 
-/// A lease that is to be kept.
+/// A liveliness lease that the publisher has to keep.
 struct Lease {
     watchdog: Watchdog,
     /// The time of the last reported expiry, and the number of expiries by then.
@@ -30,7 +30,7 @@ struct Lease {
 }
 
 impl Lease {
-    /// A lease that is lost is lost once, however long the silence: until there was a sign of life.
+    /// Reports a lost lease once, however long the silence lasts, until there was another sign of life.
     fn poll_lost(&mut self, context: &mut Context<'_>) -> Option<LivelinessLost> {
         let Poll::Ready(expiry) = self.watchdog.poll_expired(context) else { return None };
         let silent = self.told.is_some_and(|(due_ns, count)| {
@@ -99,7 +99,7 @@ impl Stream for PublisherEvents {
         if let Some(event) = self.ready.next() {
             return Poll::Ready(Some(event));
         }
-        // Registers for a ring before it looks. No time is set.
+        // Registers for a ring before the check for changes. The alarm has no time.
         let _ = self.alarm.poll(context);
         if self.monitor.has_ended() {
             return Poll::Ready(None);

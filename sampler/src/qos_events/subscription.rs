@@ -13,7 +13,7 @@ use tautline_transport::{RawSubscription, SubscriptionMonitor, TransportError};
 /// deadline; lost messages. Otherwise like [`PublisherEvents`](crate::PublisherEvents).
 #[must_use = "no events are reported unless it is polled"]
 pub struct SubscriptionEvents {
-    // Before what is rung for it.
+    // Dropped before the alarm, whose slot it rings.
     monitor: SubscriptionMonitor,
     /// When the next lease of a publisher ends.
     alarm: Alarm,
@@ -69,7 +69,7 @@ impl Stream for SubscriptionEvents {
             return Poll::Ready(Some(event));
         }
         loop {
-            // Registers for a ring before it looks.
+            // Registers for a ring before the check for changes.
             let _ = self.alarm.poll(context);
             if self.monitor.has_ended() {
                 return Poll::Ready(None);
@@ -78,7 +78,7 @@ impl Stream for SubscriptionEvents {
             if let Some(event) = self.ready.next() {
                 return Poll::Ready(Some(event));
             }
-            // Set for a time that has come meanwhile: at most once for each lease.
+            // Ready if the alarm's time has passed meanwhile: at most once for each lease.
             if self.alarm.poll(context).is_pending() {
                 return Poll::Pending;
             }

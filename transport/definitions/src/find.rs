@@ -63,10 +63,10 @@ fn find(
     name: &TypeName,
     existing: Option<&TopicType>,
 ) -> Result<Arc<Schema>> {
-    // If the topic has another type, this one is not the one to look for.
+    // If the topic has another type, its hash is not the one to look for.
     let existing = existing.filter(|existing| existing.name == name.as_str());
     let hash = existing.and_then(|existing| existing.hash.as_deref());
-    // No reason to do without the other places.
+    // If the store cannot be read, the other places are searched nevertheless.
     let mut unread = None;
     if let Some(hash) = hash {
         match store.read(hash) {
@@ -113,7 +113,7 @@ fn find(
     })
 }
 
-/// What is kept is a claim: whoever can write the folder can have written anything.
+/// Parses a stored definition and checks its hash: it is untrusted, because anybody who can write the folder may have written it.
 fn checked(claimed: ClaimedSchema, name: &TypeName, hash: &str) -> Result<Schema> {
     let ClaimedSchema { path, text } = claimed;
     let reason = match Schema::from_text(name, &text) {
@@ -124,7 +124,7 @@ fn checked(claimed: ClaimedSchema, name: &TypeName, hash: &str) -> Result<Schema
     Err(DefinitionError::Stored { path, reason })
 }
 
-/// A type that is defined nowhere is none; one that uses such a type is wrong.
+/// `None` for a type that is defined nowhere. A type that uses an undefined type is an error.
 fn known(
     schema: std::result::Result<Schema, SchemaError>,
 ) -> std::result::Result<Option<Schema>, SchemaError> {

@@ -180,7 +180,7 @@ impl Arena {
             && memory.len_bytes() >= window_bytes(window)
             && let Some(place) = self.windows.get(window)
         {
-            // What is there already is the same.
+            // A window that is there already is the same memory.
             let _ = place.set(memory);
         }
     }
@@ -216,7 +216,7 @@ impl Arena {
         }
     }
 
-    /// A slot's words; none if a peer's claim is no slot, or its window is not here.
+    /// A slot's words; `None` if the index, which may come from a peer, is not a slot, or if its window is not here.
     fn words(&self, slot: usize) -> Option<&SlotWords> {
         match place(slot) {
             (0, index) => self.main().slots.get(index),
@@ -228,7 +228,7 @@ impl Arena {
         &self.main().bell
     }
 
-    /// The bell of a callback thread; none if a peer's claim is no thread.
+    /// The bell of a callback thread; `None` if the index, which may come from a peer, is not a thread.
     pub(crate) fn thread_bell(&self, thread: usize) -> Option<&Bell<1>> {
         self.main().threads.get(thread)
     }
@@ -326,7 +326,7 @@ impl Arena {
         }
     }
 
-    /// Leads the rings for `slot` to a callback thread's bell, or to the sampler's.
+    /// Routes the rings for `slot` to a callback thread's bell, or to the sampler's.
     pub(crate) fn set_route(&self, slot: usize, bell_bit: Option<BellBit>) {
         if let Some(words) = self.words(slot) {
             words.route.set(bell_bit);
@@ -343,7 +343,7 @@ impl Arena {
     /// # Real-time
     /// Wait-free; no allocation; at most one futex wake, and none if its events are not monitored.
     pub fn ring_events(&self, slot: usize) {
-        // What happened is visible before the word is read: whoever sets it either is rung or sees it.
+        // The event is visible before the word is read: a thread that sets the word is rung, or sees the event.
         full_fence();
         let events = self.words(slot).map_or(0, |words| words.events.load(Ordering::Relaxed));
         if events != 0 {
@@ -377,7 +377,7 @@ impl Arena {
         }
     }
 
-    /// When it was last seen.
+    /// When an activity was last seen.
     ///
     /// # Real-time
     /// Wait-free: one load; no syscall.
@@ -386,7 +386,7 @@ impl Arena {
             .map_or(0, |words| words.activities[activity.kind as usize].load(Ordering::Relaxed))
     }
 
-    /// Makes a slot look never used.
+    /// Resets a slot to the state of one that was never used.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.

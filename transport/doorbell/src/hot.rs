@@ -31,8 +31,8 @@ const SAMPLED: usize = NEAR_SLOTS / 64;
 const SLEEPING: u32 = 1;
 const ONE_RING: u32 = 2;
 
-/// One bell per sampler, and small ones of `WORDS` 1 for callback threads that are woken directly: below, whoever sleeps on a
-/// bell is its sampler. All-zero memory is a bell with nothing pending and nobody asleep.
+/// One bell per sampler, and small ones of `WORDS` 1 for callback threads that are woken directly: below, the thread that sleeps
+/// on a bell is called its sampler. All-zero memory is a bell with nothing pending and nobody asleep.
 #[repr(C, align(64))]
 pub(crate) struct Bell<const WORDS: usize = SAMPLED> {
     state: FutexWord,
@@ -43,7 +43,7 @@ pub(crate) struct Bell<const WORDS: usize = SAMPLED> {
     pending: Pending<WORDS>,
 }
 
-/// From which sleep on a bell this process has woken the sampler last. One may serve several bells, each with a number of its own.
+/// The sleep from which this process last woke a bell's sampler. One `Woken` may serve several bells, each with a number of its own.
 #[derive(Debug)]
 pub(crate) struct Woken(AtomicU64);
 
@@ -72,8 +72,8 @@ impl<const WORDS: usize> Bell<WORDS> {
         self.wake_if_sleeping(0, &Woken::new());
     }
 
-    /// The first step of a ring, of several slots maybe: a sequentially consistent fence and
-    /// [`wake_if_sleeping`](Self::wake_if_sleeping) follow.
+    /// The first step of a ring, possibly for several slots: a sequentially consistent fence and
+    /// [`wake_if_sleeping`](Self::wake_if_sleeping) must follow.
     ///
     /// # Real-time
     /// Wait-free; no syscall.
@@ -81,16 +81,16 @@ impl<const WORDS: usize> Bell<WORDS> {
         mark_in(&self.pending.0, slot);
     }
 
-    /// Something was marked in `window`, whose bitmap that is: part of the first step.
+    /// Records that something was marked in the bitmap of `window`: part of the first step.
     ///
     /// # Real-time
     /// Wait-free; no syscall.
     pub(crate) fn mark_window(&self, window: usize) {
-        // Release: pairs with the Acquire in `take_windows`, after which the window's bitmap is looked at.
+        // Release: pairs with the Acquire in `take_windows`, after which the window's bitmap is read.
         self.far.fetch_or(1 << (window % u32::BITS as usize), Ordering::Release);
     }
 
-    /// The last step of a ring, of the bell that is the number `bell` of those that `woken` serves.
+    /// The last step of a ring. `bell` is the number of this bell among those that `woken` serves.
     ///
     /// # Real-time
     /// Wait-free; one futex wake if the sampler sleeps and this process has not woken it from that sleep, else no syscall.
@@ -98,28 +98,28 @@ impl<const WORDS: usize> Bell<WORDS> {
         if self.state.0.load(Ordering::Relaxed) & SLEEPING == 0 {
             return;
         }
-        // Acquire: pairs with the Release in `sleep`; the sleep before that one is over when the state is read again.
+        // Acquire: pairs with the Release in `fall_asleep`; the sleep before that one is over when the state is read again.
         let sleep = Woken::key(bell, self.sleeps.load(Ordering::Acquire));
         // Acquire: pairs with the Release below; that wake is over.
         if woken.0.load(Ordering::Acquire) == sleep {
             return;
         }
-        // Asleep in that one, or in a later one: then that one is over, too. The count is not read again: the sampler, which runs by
-        // now, writes on its line.
+        // The sampler was in that sleep, or in a later one: then that one is over, too. The count is not read again, because the
+        // sampler, which runs by now, writes to its cache line.
         if self.wake() {
             woken.0.store(sleep, Ordering::Release);
         }
     }
 
-    /// Wakes the sampler. False if it did not sleep any more.
+    /// Wakes the sampler. Returns whether it was asleep.
     fn wake(&self) -> bool {
         let state = self.state.0.fetch_add(ONE_RING, Ordering::AcqRel);
         self.state.wake();
         state & SLEEPING != 0
     }
 
-    /// Takes every pending slot and hands it to `each`, lowest first; returns how many there were. Those in windows are taken by
-    /// [`drain_bits`], of the windows that [`take_windows`](Self::take_windows) says.
+    /// Takes every pending slot and hands it to `each`, lowest first; returns how many there were. Slots in windows are taken by
+    /// [`drain_bits`], for the windows that [`take_windows`](Self::take_windows) returns.
     ///
     /// # Real-time
     /// Wait-free, O(pending + 16); no allocation; no syscall.
@@ -138,7 +138,7 @@ impl<const WORDS: usize> Bell<WORDS> {
         self.far.swap(0, Ordering::Acquire)
     }
 
-    /// Takes one slot back, if it is pending. What was written before its ring is seen after this.
+    /// Clears the bit of one slot, if it is pending. What was written before its ring is seen after this.
     ///
     /// # Real-time
     /// Wait-free; no syscall.
@@ -170,14 +170,14 @@ impl<const WORDS: usize> Bell<WORDS> {
         self.state.0.fetch_and(!SLEEPING, Ordering::AcqRel);
     }
 
-    /// The first step of a sleep: the state that it leaves.
+    /// The first step of a sleep; returns the state that it leaves.
     fn fall_asleep(&self) -> u32 {
-        // Nobody else writes it. Release: who sees it sees that the sleep before is over.
+        // Only the sampler writes the count. Release: a thread that sees it sees that the sleep before is over.
         self.sleeps.store(self.sleeps.load(Ordering::Relaxed).wrapping_add(1), Ordering::Release);
         self.state.0.fetch_or(SLEEPING, Ordering::AcqRel) | SLEEPING
     }
 
-    /// Finishes the ring of a process that was killed between setting the bit and waking. Waking who is awake is
+    /// Finishes the ring of a process that was killed between setting the bit and waking. Waking a sampler that is awake is
     /// harmless.
     ///
     /// # Real-time
@@ -246,16 +246,16 @@ impl Flags {
     const QUIET: u32 = 1;
     /// The subscription has a deadline: publishers note when they send.
     const DEADLINE: u32 = 2;
-    /// The subscription takes what waits, and looks again before it sleeps.
+    /// The subscription takes what is queued, and checks its queue again before it sleeps.
     const DRAINING: u32 = 4;
-    /// Whoever publishes through the subscription's own arena looks into its queue: these publishers need not ring.
+    /// Threads that publish through the subscription's own arena check its queue afterwards: these publishers need not ring.
     const OWN_LOOK: u32 = 8;
 
     fn has(&self, flag: u32) -> bool {
         self.0.load(Ordering::Relaxed) & flag != 0
     }
 
-    /// Takes all of them away. For the slot's owner.
+    /// Clears all flags. For the slot's owner.
     pub(crate) fn clear(&self) {
         self.0.store(0, Ordering::Relaxed);
     }
@@ -288,8 +288,8 @@ impl Flags {
         full_fence();
     }
 
-    /// Sets whether publishers of the subscription's own arena need not ring, because whoever publishes with one looks into the
-    /// queue afterwards. For the slot's owner, which must check its queue once more after each change.
+    /// Sets whether publishers of the subscription's own arena need not ring, because the thread that publishes checks the queue
+    /// afterwards. For the slot's owner, which must check its queue once more after each change.
     ///
     /// # Real-time
     /// Wait-free: a load, a store and a fence.
@@ -328,8 +328,8 @@ impl Flags {
 /// Which bell is rung for a slot: its arena's, or that of a callback thread, which then sleeps on no other. Written by the
 /// slot's owner alone; zero is the arena's.
 ///
-/// The owner changes it as it stops [draining](Flags): it looks into its queue after that. Whoever still rings the bell of
-/// before had queued its sample by then.
+/// The owner changes it as it stops [draining](Flags), and checks its queue after that. A publisher that still rings the former
+/// bell had queued its sample by then.
 #[repr(transparent)]
 pub(crate) struct BellRouting(AtomicU32);
 
@@ -348,7 +348,7 @@ impl BellRouting {
         Some(BellBit { thread: place / 64, bit: place % 64 })
     }
 
-    /// For the slot's owner, who looks into its queue after this.
+    /// For the slot's owner, which must check its queue after this.
     ///
     /// # Real-time
     /// Wait-free: a store and a fence.
@@ -361,7 +361,7 @@ impl BellRouting {
 
 #[cfg(not(taut_loom))]
 impl<const WORDS: usize> Bell<WORDS> {
-    /// How often whoever sleeps here is woken by what happens `meanwhile`.
+    /// How often the sleeper of this bell is woken while `meanwhile` runs.
     pub(crate) fn count_wakes(&self, meanwhile: impl FnOnce()) -> u32 {
         let before = self.fall_asleep();
         meanwhile();

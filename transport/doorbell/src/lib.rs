@@ -100,7 +100,7 @@ pub struct Doorbell {
     sampled: AtomicBool,
 }
 
-/// What this process knows of the slots of a window.
+/// This process's state of the slots of a window.
 struct Window {
     wakers: Box<[AtomicWaker]>,
     free: FreePlaces,

@@ -6,7 +6,7 @@
 
 use crate::sync::{AtomicU64, Ordering};
 
-/// They are claimed in turn: each rests as long as possible before it is used again, so that a publisher that has not yet noticed
+/// Entries are claimed in turn: each rests as long as possible before it is used again, so that a publisher that has not yet noticed
 /// the end of a subscription does not ring its successor (harmless, but a spurious wake-up).
 pub(super) struct FreePlaces {
     /// One bit for each free entry.
@@ -25,14 +25,14 @@ impl FreePlaces {
         FreePlaces { free, next: AtomicU64::new(0) }
     }
 
-    /// Claims a place. `None`: none is free, or others have just claimed each that was.
+    /// Claims a place. `None`: none is free, or other threads have just claimed those that were.
     ///
     /// # Real-time
     /// Wait-free, O(places); no allocation; no syscall.
     pub(super) fn take(&self) -> Option<usize> {
         let next = self.next.load(Ordering::Relaxed) as usize;
         let (start, from_next) = (next / 64, u64::MAX << (next % 64));
-        // The word it begins within comes twice: from there on, and up to there.
+        // The word in which the search begins is visited twice: first from the bit `next` on, at last up to it.
         for turn in 0..=self.free.len() {
             let index = (start + turn) % self.free.len();
             let wanted = match turn {
@@ -44,14 +44,14 @@ impl FreePlaces {
             let mut bits = word.load(Ordering::Relaxed) & wanted;
             while bits != 0 {
                 let bit = bits & bits.wrapping_neg();
-                // Acquire: pairs with the Release in `give_back`; the owner before has done with it.
+                // Acquire: pairs with the Release in `give_back`; the former owner does not use the place any more.
                 let free = word.fetch_and(!bit, Ordering::Acquire);
                 if free & bit != 0 {
                     let place = index * 64 + bit.trailing_zeros() as usize;
                     self.next.store(((place + 1) % (64 * self.free.len())) as u64, Ordering::Relaxed);
                     return Some(place);
                 }
-                // Another one was faster. Only what was free at the first look: at most 64 turns.
+                // Another thread was faster. Only bits that were free at the first load are tried: at most 64 turns.
                 bits &= free;
             }
         }

@@ -2,10 +2,10 @@
 //! A flag of this process that wakes its waiters. Several waiters may be attached and detached.
 //!
 //! ```text
-//!  who sets it                               who waits
+//!  setter                                    waiter
 //!  1 flag = true                             1 waiters[i] = mine
 //!  2 fence                                   2 fence
-//!  3 wakes each of waiters                   3 no flag? sleep until woken
+//!  3 wake each of waiters                    3 no flag? sleep until woken
 //! ```
 //!
 //! Either the thread that sets the flag sees the waiter, or the waiter sees the flag. Setting takes no lock and allocates nothing, so it
@@ -48,7 +48,7 @@ impl<W: Wakeable> Signal<W> {
     /// # Real-time
     /// Wait-free; no allocation; a futex wake for each waiter that sleeps.
     pub fn set(&self) {
-        // An exchange as the other side's: what the model does not know of stores, it knows of these, which of both was first.
+        // An exchange, as on the other side: loom's model knows which of two exchanges was first, but not which of two stores.
         self.is_set.swap(true, Ordering::AcqRel);
         fence(Ordering::SeqCst);
         for place in &self.waiters {

@@ -18,7 +18,7 @@ use tautline_rt::full_fence;
 
 /// The bit of wakes that come from no publisher.
 const OTHERS: usize = 63;
-/// What a bit says that is nobody's; else its slot.
+/// Stands in the place of a slot for a bit that is not in use.
 const FREE: usize = usize::MAX;
 
 /// A bell on which one thread sleeps.
@@ -42,7 +42,7 @@ impl ThreadBell {
             thread,
             slots: std::array::from_fn(|_| AtomicUsize::new(FREE)),
         };
-        // What was rung for its owner before.
+        // Discards what was rung for the bell's former owner.
         if let Some(bell) = bell.bell() {
             bell.drain(|_| {});
         }
@@ -96,7 +96,7 @@ impl ThreadBell {
         true
     }
 
-    /// Wakes the tasks that were rung for. Whether something rang.
+    /// Wakes the tasks that were rung for. Returns whether something rang.
     fn take(&self, bell: &Bell<1>) -> bool {
         let wake = |bit: usize| match self.slots.get(bit).map(|slot| slot.load(Ordering::Relaxed)) {
             None | Some(FREE) => {}
@@ -105,7 +105,7 @@ impl ThreadBell {
         if bell.drain(wake) == 0 {
             return false;
         }
-        // The tasks just woken have rung, too; they will be polled, and so will whoever rings from here on.
+        // The tasks just woken have rung this bit, too; they will be polled, and so will tasks that ring from here on.
         bell.take(OTHERS);
         true
     }
@@ -126,7 +126,7 @@ impl ThreadBell {
     }
 }
 
-/// Looks again and again, for as long as `spin`.
+/// Polls the bell for at most `spin`. Returns whether something rang.
 fn is_rung_within(bell: &Bell<1>, spin: Duration) -> bool {
     if spin.is_zero() {
         return false;

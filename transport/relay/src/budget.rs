@@ -5,8 +5,8 @@
 //! starve the callbacks. So the threads' processor time is summed up: once it exceeds the budget in a window, they run as
 //! SCHED_OTHER until several windows in a row show less demand. Demand includes the time that they wait for a processor, because
 //! a SCHED_OTHER thread may use little only because it gets little. So a callback loses at most the budget of one window plus the
-//! time until the next check, once per flood; recurring floods cause this ever more rarely. A thread that another one starts just
-//! as policies change inherits the old one, and keeps it until the next [renewal](RENEWAL_LOOKS), 400 ms later at most.
+//! time until the next check, once per flood; recurring floods cause this ever more rarely. A thread that starts while policies
+//! change may inherit the old policy, and keeps it until the next [renewal](RENEWAL_LOOKS), 400 ms later at most.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -30,12 +30,12 @@ impl Default for Budget {
 
 const WINDOW: Duration = Duration::from_millis(40);
 const LOOKS_PER_WINDOW: u32 = 8;
-/// So often the threads are listed anew, and new ones given the policy of the others: every 400 ms.
+/// Number of checks after which the threads are listed again, and new ones get their policy: every 400 ms.
 const RENEWAL_LOOKS: u32 = LOOKS_PER_WINDOW * 10;
 
 /// Calm windows in a row before the priority is restored.
 const CALM_WINDOWS: u32 = 5;
-/// Maximum of these: they double when a flood returns within this many windows (10 s).
+/// Maximum of calm windows: their number doubles when a flood returns within this many windows (10 s).
 const MOST_CALM_WINDOWS: u32 = 250;
 
 /// The decision after a check.
@@ -46,12 +46,12 @@ enum Verdict {
     Promote,
 }
 
-/// Decides from the sums only.
+/// Decides from sums of processor time; sets no policies.
 struct Meter {
     budget_ns: u64,
     looks: u32,
     at_start: ThreadTime,
-    /// The time of the whole process then.
+    /// The processor time of the whole process at the start of the window.
     process_ns: u64,
     is_demoted: bool,
     /// Windows since the priority was restored.
@@ -76,8 +76,8 @@ impl Meter {
         }
     }
 
-    /// `process_ns` is the total of the whole process since its start, `spent` that of the threads, whose reading takes long: it is read
-    /// at the end of a window, and where the process could have exceeded the budget.
+    /// `process_ns` is the processor time of the whole process since its start, `spent` reads that of the watched threads. Because reading
+    /// takes long, `spent` is called only at the end of a window, and when the process could have exceeded the budget.
     fn check(&mut self, process_ns: u64, spent: impl FnOnce() -> ThreadTime) -> Verdict {
         self.looks += 1;
         let may_be_over = self.is_demoted || process_ns.saturating_sub(self.process_ns) > self.budget_ns;
@@ -131,7 +131,7 @@ pub struct Guard {
 
 impl Guard {
     /// Starts a thread `name` that watches the threads in `list`, each with its policy within the budget; `highest` is the
-    /// highest of these. No two guards may list the same thread.
+    /// highest of these policies. No two guards may list the same thread.
     ///
     /// # Errors
     /// [`RtError`]: a missing privilege.
@@ -203,7 +203,7 @@ struct BudgetedThreads {
 }
 
 impl BudgetedThreads {
-    /// Lists them anew. A new one gets the policy of now: it may have inherited that of before a change.
+    /// Lists the threads again. A new thread gets the present policy: it may have inherited the one before a change.
     fn renew(&mut self) {
         let Ok(now) = (self.list)() else { return };
         for (tid, _, spent) in &self.threads {
@@ -217,7 +217,7 @@ impl BudgetedThreads {
             let known = self.threads.iter().find(|(known, ..)| *known == tid).map(|(.., spent)| *spent);
             if known.is_none() {
                 self.set_policy(tid, policy);
-                // Keeps the sum unchanged: its earlier time is subtracted from the ended threads'.
+                // Keeps the sum unchanged: the thread's earlier time is subtracted from that of the ended threads.
                 self.ended = self.ended.minus(spent.unwrap_or_default());
             }
             threads.push((tid, policy, spent.or(known).unwrap_or_default()));
@@ -238,7 +238,7 @@ impl BudgetedThreads {
         self.threads.iter().for_each(|(tid, policy, _)| self.set_policy(*tid, *policy));
     }
 
-    /// To the thread's own one, or to SCHED_OTHER while demoted.
+    /// Sets a thread's policy to its `own` one, or to SCHED_OTHER while demoted.
     fn set_policy(&self, tid: u32, own: Policy) {
         let policy = if self.is_demoted { Policy::Other { nice: 0 } } else { own };
         if let Err(error) = tautline_rt::set_policy_of(tid, policy)

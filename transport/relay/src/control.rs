@@ -26,7 +26,7 @@ use tautline_transport::{
 
 /// The far side of a mirror: a network or a ROS 2 graph. [`MirrorControl`] calls it from one thread.
 pub trait FarSide: Sized {
-    /// Its kind.
+    /// The kind of far side.
     const SIDE: Side;
     /// Order of its messages, and whether their publishers are announced.
     const DELIVERY: Delivery;
@@ -36,9 +36,9 @@ pub trait FarSide: Sized {
     type Egress: Egress<Key = TopicKey, Topic = Outbound>;
     /// Mirrors a publisher of the domain.
     type Writer: FarWriter;
-    /// Its services.
+    /// The far side's part in services.
     type Services: FarServices;
-    /// How long an announcement waits until services can be called; `None`: clients there wait for them anyway.
+    /// How long an announcement waits until services can be called; `None`: remote clients wait for services anyway.
     const PATIENCE: Option<Duration>;
 
     /// Handles an event. Returns whether the far graph changed.
@@ -50,20 +50,20 @@ pub trait FarSide: Sized {
     /// Why the graph cannot be read.
     fn read_graph(&mut self, here: &LocalGraph) -> Result<FarGraph, String>;
 
-    /// Called first: `here` is in terms of the domain; removes from it what cannot be announced there.
+    /// Called first in an update: removes from `here`, which is in terms of the domain, what cannot be announced on the far side.
     fn prepare(&mut self, here: &mut LocalGraph, transit: &Transit);
 
-    /// Called after topics are mirrored: returns the context for services there.
+    /// Called after topics are mirrored. Returns the context for services on the far side.
     fn update_services(
         &mut self,
         here: &LocalGraph,
         transit: &Transit,
     ) -> <Self::Services as FarServices>::With;
 
-    /// The same context again, as last returned.
+    /// The context that [`update_services`](Self::update_services) returned last.
     fn service_context(&self) -> <Self::Services as FarServices>::With;
 
-    /// Called after services are routed: announces `here` there.
+    /// Called after services are routed. Announces `here` on the far side.
     fn announce(&mut self, here: &LocalGraph, transit: &Transit, writers: &Writers<Self::Writer>);
 
     /// Called each second. Returns whether the far graph must be read again.
@@ -149,7 +149,7 @@ pub struct Publisher {
 
 /// A type that was found.
 pub struct FoundType {
-    /// As topics state it.
+    /// The type as topics state it.
     pub topic_type: TopicType,
     /// The definition that validates messages from the far side.
     pub schema: Option<Arc<Schema>>,
@@ -168,7 +168,7 @@ pub struct LocalGraph {
     pub services: Vec<Arc<ServiceEndpoint>>,
     /// Tags of the latest publishers that ended normally.
     pub ended: Vec<u64>,
-    /// Topics and services that cannot be announced there, and why.
+    /// Topics and services that cannot be announced on the far side, and why.
     pub problems: BTreeMap<String, String>,
 }
 
@@ -194,9 +194,9 @@ pub struct FarGraph {
     pub endpoints: Vec<(TopicEndpoint, u128)>,
     /// Services and clients.
     pub services: Vec<(ServiceEndpoint, u128)>,
-    /// By topic, all publishers that are identified.
+    /// All publishers with a known GID, by topic.
     pub publishers: HashMap<String, BTreeSet<Gid>>,
-    /// Tags of publishers that ended normally, where that is announced.
+    /// Tags of publishers that ended normally, if the far side announces that.
     pub ended: BTreeSet<u64>,
 }
 
@@ -243,17 +243,17 @@ pub fn watch_domain<E>(participant: &Participant, events: &mpsc::SyncSender<Even
 
 /// Interval of statistics and retries.
 const TICK: Duration = Duration::from_secs(1);
-/// Minimum pause between two updates: changes are batched, because an update costs time in proportion to the graph.
+/// Minimum pause between two updates: changes are batched, because an update takes time in proportion to the size of the graph.
 const PAUSE: Duration = Duration::from_millis(2);
-/// Further pause, as a multiple of the update's time: leaves most of the time to other threads during constant change.
+/// Additional pause, as a multiple of the update's time: leaves most of the time to other threads during constant change.
 const PAUSE_PER_LOOK: u32 = 4;
 /// Maximum of events handled in a row.
 const EVENTS_AT_ONCE: usize = 1024;
 /// Interval of the check whether a writer has matched.
 const MATCH_LOOK: Duration = Duration::from_millis(2);
-/// Interval of the check whether what an ended publisher sent has arrived: there may be hundreds.
+/// Interval of the check whether the samples of ended publishers have arrived; longer, because there may be hundreds of publishers.
 const SETTLE_LOOK: Duration = Duration::from_millis(20);
-/// How long the end waits for that: a heartbeat of Fast DDS, and less than what supervisors give a process that is to stop.
+/// How long the end of the mirror waits for that: a heartbeat of Fast DDS, and less than the time that supervisors give a process to stop.
 const STOP_TIME: Duration = Duration::from_millis(3_500);
 
 /// The parts of a mirror.
@@ -292,7 +292,7 @@ pub struct MirrorControl<F: FarSide> {
     waiting: BTreeMap<TopicKey, (Outward, Instant)>,
     inward: BTreeMap<InKey, TakenClass>,
     failed: Failed,
-    /// As last read.
+    /// The far side's publishers by topic, as last read.
     publishers: HashMap<String, BTreeSet<Gid>>,
     problems: BTreeMap<String, String>,
     started: Instant,
@@ -300,14 +300,14 @@ pub struct MirrorControl<F: FarSide> {
 
 struct TakenClass {
     inward: Inward,
-    /// Whether it has a port that offers `inward.offered`: as soon as there is a publisher.
+    /// Whether the class has a port, which offers `inward.offered`: as soon as there is a publisher.
     has_port: bool,
-    /// As last given to the ingress.
+    /// The senders, as last passed to the ingress.
     senders: Senders,
 }
 
 impl<F: FarSide> MirrorControl<F> {
-    /// From its parts; starts nothing.
+    /// Creates the control of a mirror from its parts; starts nothing.
     pub fn new(parts: Parts<F>) -> Self {
         let Parts { participant, far, relay, services, transit, rules, service_rules } = parts;
         let (stats, out, waiting, inward) = Default::default();
@@ -360,7 +360,7 @@ impl<F: FarSide> MirrorControl<F> {
                     Event::Stop => false,
                 };
             }
-            // One tick, however long an update took.
+            // Only one tick, even if an update took longer than several.
             let elapsed = last_tick.elapsed();
             if elapsed >= TICK {
                 last_tick += elapsed;
@@ -381,7 +381,7 @@ impl<F: FarSide> MirrorControl<F> {
         if is_changed {
             self.update();
         }
-        // Samples that are already published are still sent, and arrive.
+        // Samples that are already published are still sent; this waits until they have arrived.
         self.out.keys().for_each(|key| self.relay.stop_topic(key.clone()));
         self.writers.remove_all();
         while self.writers.drop_settled(STOP_TIME) {
@@ -395,7 +395,7 @@ impl<F: FarSide> MirrorControl<F> {
             let here = LocalGraph::of(self.participant.id(), &snapshot);
             Ok((self.far.read_graph(&here)?, here, snapshot))
         });
-        // Retried with the next tick.
+        // Retried at the next tick.
         self.is_stale = seen.is_err();
         let (there, mut here, snapshot) = match seen {
             Ok(seen) => seen,
@@ -407,13 +407,13 @@ impl<F: FarSide> MirrorControl<F> {
         there.endpoints.iter().for_each(|(end, teller)| transit.insert(&end.origin, *teller));
         there.services.iter().for_each(|(end, teller)| transit.insert(&end.origin, *teller));
         self.far.prepare(&mut here, &self.transit);
-        for (key, gid) in self.writers.others(|gid, writer| self.far.is_current(gid, writer)) {
+        for (key, gid) in self.writers.outdated(|gid, writer| self.far.is_current(gid, writer)) {
             self.mirror.forget_writer(&key, gid);
             self.relay.close(key.clone(), gid);
             self.writers.remove(&key, gid);
         }
         self.mirror_topics(&here, &there);
-        // After the topics: an action's feedback must have a path before its goals.
+        // After the topics, because an action's feedback must have a path before its goals.
         self.route_services(&here, &there);
         self.far.announce(&here, &self.transit, &self.writers);
         if let Err(error) = self.participant.set_remote(&self.remote(there)) {
@@ -428,10 +428,10 @@ impl<F: FarSide> MirrorControl<F> {
         let is_left = |end: &TopicEndpoint| is_publisher(end) && transit.announced(&end.origin).is_none();
         let (left, told): (Vec<&TopicEndpoint>, Vec<&TopicEndpoint>) =
             here.endpoints.iter().map(AsRef::as_ref).partition(|end| is_left(end));
-        // Left to another announcer.
+        // Publishers that another participant announces.
         let mut passed_over: HashSet<Gid> = left.into_iter().map(|end| end.gid).collect();
         let mut before = self.relay.passed_over().lock();
-        // The old set is dropped after the lock, for which the sending thread may wait.
+        // The old set is dropped after the lock is released, because the sending thread may wait for it.
         std::mem::swap(&mut *before, &mut passed_over);
         drop(before);
         let far = there.endpoints.iter().filter_map(|(end, teller)| match end.kind {
@@ -464,7 +464,7 @@ impl<F: FarSide> MirrorControl<F> {
         }
     }
 
-    /// The graph to announce in the domain, in its names, sorted, so that equal graphs are equal lists.
+    /// The graph to announce in the domain, with the domain's names, and sorted, so that equal graphs are equal lists.
     fn remote(&self, there: FarGraph) -> RemoteGraph {
         let rules = &self.mirror.rules;
         let mut remote = RemoteGraph { ended: there.ended, ..RemoteGraph::default() };
@@ -497,7 +497,7 @@ impl<F: FarSide> MirrorControl<F> {
         remote
     }
 
-    /// Updates senders: a subscription also gets messages of publishers outside its class, which come and go.
+    /// Updates the senders of each class: its subscription also gets messages of publishers outside the class, which come and go.
     fn renew_senders(&mut self) {
         for (key, taken) in &mut self.inward {
             // Also for a class whose restart failed.
@@ -598,7 +598,7 @@ impl<F: FarSide> MirrorControl<F> {
                 self.waiting.insert(key, (outward, since));
                 continue;
             }
-            // Created first, so that kept samples find them.
+            // Senders are created first, so that they exist when kept samples arrive.
             let made = self.writers.open(|of| *of == key, |key, writer| sender(&mut self.far, key, writer));
             let made = made.into_iter().map(|(_, gid, sender)| (gid, sender)).collect();
             if let Err(reason) = self.start_out(&key, &outward, made) {
@@ -625,7 +625,7 @@ impl<F: FarSide> MirrorControl<F> {
         let limiter = Limiter::new(outward.min_period);
         self.relay.start_topic(key.clone(), subscription, Outbound { counters, limiter }, made);
         self.out.insert(key.clone(), outward.clone());
-        self.writers.take();
+        self.writers.request_check();
         Ok(())
     }
 
@@ -640,7 +640,7 @@ impl<F: FarSide> MirrorControl<F> {
     }
 
     fn start_in(&mut self, key: &InKey, inward: &Inward) -> Result<(), String> {
-        // Keep the port's samples for late joiners if possible.
+        // Keeps the port, and thereby its samples for late joiners, if possible.
         let has_same = |taken: &TakenClass| taken.has_port && taken.inward.offered == inward.offered;
         let keeps_port = self.inward.get(key).is_some_and(has_same);
         let (port, schema) = match keeps_port {
@@ -669,7 +669,7 @@ impl<F: FarSide> MirrorControl<F> {
         Ok(())
     }
 
-    /// The class's port, as soon as there is a publisher, and the type's definition.
+    /// Creates the port of a class, if there is a publisher. Returns the port and the type's definition.
     fn port(
         &mut self,
         key: &InKey,
@@ -710,7 +710,7 @@ fn sender<F: FarSide>(
     made.ok()
 }
 
-/// The senders among known publishers.
+/// The senders of a class, among the known publishers.
 fn senders(
     known: &HashMap<String, BTreeSet<Gid>>,
     key: &InKey,

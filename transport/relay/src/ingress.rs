@@ -17,15 +17,15 @@ const TRAILING_BYTES: usize = 8;
 /// The port for incoming messages.
 pub enum IngressPort {
     None,
-    /// The key's existing port, with its samples for late joiners.
+    /// The existing port of the key, with its samples for late joiners.
     Same,
     New(Box<RawPublisher>),
 }
 
-/// The publishers whose messages an ingress forwards; others' messages come another way.
+/// The publishers whose messages an ingress forwards, and other known publishers, whose messages arrive by another path.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Senders {
-    /// Each with its lifespan.
+    /// Publishers whose messages are forwarded, each with its lifespan.
     wanted: BTreeMap<Gid, Option<Duration>>,
     others: BTreeSet<Gid>,
 }
@@ -35,13 +35,13 @@ pub struct Senders {
 enum SenderRole {
     Wanted(Option<Duration>),
     Other,
-    /// Not known yet: its messages are held.
+    /// Not known yet: its messages are held or forwarded, see [`Delivery::early`].
     Unknown,
 }
 
 impl Senders {
-    /// Of all `known` publishers of the topic, `publishers` (each with its lifespan) are forwarded. Without a port their messages
-    /// are held.
+    /// Of all `known` publishers of the topic, messages of `publishers` (each with its lifespan) are forwarded. Without a port they are
+    /// treated as messages of unknown publishers.
     pub fn of(known: &BTreeSet<Gid>, publishers: &BTreeMap<Gid, Option<Duration>>, has_port: bool) -> Self {
         Senders {
             wanted: if has_port { publishers.clone() } else { BTreeMap::new() },
@@ -100,16 +100,16 @@ pub struct MessageMeta {
 /// Why a message from the far side was dropped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Refused {
-    /// It came sooner than the rate limit permits.
+    /// The message came sooner than the rate limit permits.
     #[error("rate limit")]
     Rate,
     /// Its publisher was not discovered in time, or too many such messages were held.
     #[error("publisher not known yet")]
     Unknown,
-    /// By the clocks of both hosts.
+    /// The message is older than its publisher's lifespan, by the clocks of both hosts.
     #[error("older than its publisher's lifespan")]
     Expired,
-    /// Of a fixed-size type.
+    /// The length differs from that of its fixed-size type.
     #[error("length differs from the type's")]
     Length,
     /// Its content is not valid for its type.
@@ -130,7 +130,7 @@ struct Early {
     since: Instant,
 }
 
-/// Where messages of a topic, or of a class of it, enter the domain.
+/// The path on which messages of a topic, or of a class of its publishers, enter the domain.
 pub struct Ingress {
     port: IngressPort,
     /// `None`: the definition is not known.
@@ -167,8 +167,8 @@ impl Ingress {
         Ingress { port, schema, counters, limiter, senders, numbers, early, early_bytes, delivery }
     }
 
-    /// Continues where the old one ended: sequence numbers reveal duplicates. But samples that a new port must keep for late
-    /// joiners have to pass through it, so existing subscriptions get them again.
+    /// Continues where `old` ended: sequence numbers reveal duplicates. But samples that a new port must keep for late joiners
+    /// (`is_kept`) have to pass through it, so existing subscriptions get them again.
     pub fn take_over(&mut self, old: Ingress, is_kept: bool) {
         let is_same_port = matches!(self.port, IngressPort::Same);
         if is_same_port {
@@ -193,7 +193,7 @@ impl Ingress {
         self.settle();
     }
 
-    /// The counters of its messages.
+    /// The counters of this ingress's messages.
     pub fn counters(&self) -> &Arc<TopicCounters> {
         &self.counters
     }
@@ -203,12 +203,12 @@ impl Ingress {
         !self.early.is_empty()
     }
 
-    /// Whether this publisher's messages come another way.
+    /// Whether messages of this publisher are ignored, because they arrive by another path.
     pub fn ignores(&self, publisher: &Gid) -> bool {
         self.senders.find(publisher) == SenderRole::Other
     }
 
-    /// If a message of this publisher needs memory that is not claimed yet: claims it, in a thread that may do so.
+    /// A claimer, for use in a thread that may claim memory, if a message of this publisher needs memory that is not claimed yet.
     ///
     /// # Real-time
     /// As [`RawPublisher::has_memory`].
@@ -226,7 +226,7 @@ impl Ingress {
         self.counters.dropped(reason);
     }
 
-    /// Forwards a message, holds it, or ignores it if it comes another way.
+    /// Forwards a message, holds it if its publisher is unknown, or ignores it if it arrives by another path.
     ///
     /// # Real-time
     /// One look-up, one loan, one copy; validation in time linear in the body if the definition is known. The body of an unknown
@@ -242,7 +242,7 @@ impl Ingress {
         }
     }
 
-    /// Counts what is missing before a message. False if it is a duplicate.
+    /// Counts the messages that are missing before this one. Returns false for a duplicate.
     fn is_new(&mut self, source: &MessageMeta) -> bool {
         let Some(number) = source.number.filter(|_| source.are_numbers_whole) else { return true };
         let missing = self.numbers.missing(source.publisher, number);
@@ -328,12 +328,12 @@ impl Ingress {
                 }
             }
         }
-        // A new publisher may have the same GID and count anew.
+        // A new publisher may have the same GID and count from the start.
         let wanted = &self.senders.wanted;
         self.numbers.forget(|gid| !wanted.contains_key(gid));
     }
 
-    /// Drops messages that were held too long. Call it now and then.
+    /// Drops messages that were held too long. Call it periodically.
     pub fn drop_expired(&mut self) {
         let Some(EarlyLimits { time, .. }) = self.delivery.early else { return };
         let is_late = |early: &Early| early.since.elapsed() >= time;

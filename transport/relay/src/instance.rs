@@ -8,21 +8,21 @@ use std::time::Duration;
 use tautline_rt::domain::shared_folder;
 use tautline_rt::shm::{self, PeerFile};
 
-/// The instance's lock; dropping it releases it.
+/// The lock of an instance; dropping this releases it.
 #[derive(Debug)]
 pub struct InstanceLock {
     lock: Option<tautline_rt::LockFile>,
     folder: PathBuf,
 }
 
-/// A program that a domain has once.
+/// A program that runs at most once per domain.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Instance {
     /// Its domain.
     pub domain: u32,
-    /// Its lock file, in the folder of the domain's shared memory, whose warden removes it when its holder was killed.
+    /// Its lock file, in the folder of the domain's shared memory. The domain's warden removes the file when its holder was killed.
     pub file: String,
-    /// Its name for people: `gateway`.
+    /// Its name in messages: `gateway`.
     pub name: String,
 }
 
@@ -30,7 +30,7 @@ pub struct Instance {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum InstanceError {
-    /// Another one holds it.
+    /// Another process holds the lock.
     #[error(
         "domain {} of this host has a {} already{}: stop it, or use --standby to take over when it ends",
         instance.domain,
@@ -40,7 +40,7 @@ pub enum InstanceError {
     Taken {
         /// The instance.
         instance: Instance,
-        /// Process id of the holder, if it wrote it.
+        /// Process id of the holder, if the file contains it.
         pid: Option<u32>,
     },
     /// The folder cannot be created.
@@ -71,7 +71,7 @@ impl Instance {
         Instance { domain, file: "gateway".to_owned(), name: "gateway".to_owned() }
     }
 
-    /// The bridge between a domain and one of ROS.
+    /// The bridge between a domain and a ROS domain.
     pub fn bridge(domain: u32, ros_domain: u32) -> Self {
         let file = format!("bridge_ros_{ros_domain}");
         Instance { domain, file, name: format!("bridge to ROS domain {ros_domain}") }
@@ -84,7 +84,7 @@ impl Instance {
     /// Takes the lock.
     ///
     /// # Errors
-    /// [`InstanceError::Taken`] while another holds it.
+    /// [`InstanceError::Taken`] while another process holds it.
     pub fn lock(&self) -> Result<InstanceLock, InstanceError> {
         let folder = shared_folder(self.domain);
         loop {
@@ -134,7 +134,7 @@ impl Instance {
 impl Drop for InstanceLock {
     fn drop(&mut self) {
         self.lock = None;
-        // Succeeds if it was the domain's last file.
+        // Succeeds if the lock was the domain's last file.
         let _ = std::fs::remove_dir(&self.folder);
     }
 }

@@ -3,7 +3,7 @@
 //!
 //! The mirror decides from both graphs what is mirrored, and [`Transit`] which endpoints are announced and carried, so that no
 //! message arrives twice or loops; both are pure. [`MirrorControl`] is the thread that executes their decisions. A [`Relay`] is the
-//! thread that takes samples of all topics, waiting on the doorbell like a sampler, and gives each to an [`Egress`]; samples are
+//! thread that takes samples of all topics, waiting on the doorbell like a sampler, and passes each to an [`Egress`]; samples are
 //! held until their publisher's counterpart exists. Messages from the far side pass an [`Ingress`]. Local publishers are not
 //! affected. [`show_until`] is the main loop of such a program.
 #![forbid(unsafe_code)]

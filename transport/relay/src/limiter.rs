@@ -17,7 +17,7 @@ impl Limiter {
         Limiter { period_ns, next_ns: 0 }
     }
 
-    /// 0: no limit.
+    /// Minimum time between two messages, in nanoseconds; 0: no limit.
     pub fn period_ns(&self) -> u64 {
         self.period_ns
     }

@@ -1,18 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Decides from both graphs what is mirrored between a domain and a network or ROS 2 graph. [`Control`](crate::Control) executes
-//! it.
+//! Decides from both graphs what is mirrored between a domain and a network or ROS 2 graph.
+//! [`MirrorControl`](crate::MirrorControl) executes it.
 //!
-//! A pure state machine: graphs go in, [`Action`]s come out, in the order of execution.
+//! A pure state machine: its input is graphs, its output is [`Action`]s, in the order of execution.
 //!
-//! - *Out.* Each publisher here has a writer there, with its QoS. Samples are taken from shared memory while there is a
-//!   subscription there; those of transient-local publishers always go to a network, because Zenoh keeps them.
+//! - *Out.* Each publisher here (in the domain) has a writer there (on the far side), with its QoS. Samples are taken from shared
+//!   memory while there is a subscription there; those of transient-local publishers always go to a network, because Zenoh keeps them.
 //! - *In.* Messages come in while there are a subscription here and a publisher there. ROS matches endpoints by QoS, so
-//!   publishers there are grouped by what they offer ([`Class`]); each class has a subscription that requests exactly that and a
-//!   port here that offers exactly that. So each subscription here gets what it would get in ROS. Without publishers, a
-//!   subscription of the default class shows in ROS that there is a subscription here. A network has one port for all publishers.
+//!   publishers there are grouped by the QoS that they offer ([`Class`]); each class has a subscription there that requests exactly
+//!   this QoS and a port here that offers it. So each subscription here gets the messages that it would get in ROS. Without publishers,
+//!   a subscription of the default class shows in ROS that there is one here. A network has one port for all publishers.
 //!
-//! **No loops, no duplicates.** The input excludes this mirror's own announcements. It includes others', with their origins, and
-//! the caller of [`Mirror::update`] marks messages that come another way: see [`Transit`](crate::Transit).
+//! **No loops, no duplicates.** The input excludes this mirror's own announcements. It includes those of others, with their origins,
+//! and the caller of [`Mirror::update`] marks publishers whose messages arrive by another path: see [`Transit`](crate::Transit).
 
 use crate::rules::{Choice, Direction, Rules};
 use crate::transit::RELAYED_DEPTH;
@@ -63,19 +63,19 @@ impl TopicKey {
         }
     }
 
-    /// Whether it is an action's feedback or status. A client may send its first goal before its subscriptions are discovered
-    /// here, so these topics go to ROS even without a known subscription.
+    /// Whether this is the feedback or status topic of an action. A client may send its first goal before its subscriptions are
+    /// discovered, so these topics are sent to ROS even without a known subscription.
     pub fn is_of_action(&self) -> bool {
         self.topic.contains("/_action/")
     }
 }
 
-/// The QoS of publishers in ROS, as far as it decides about matching.
+/// The QoS policies of publishers in ROS that decide about matching.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Class {
-    /// Reliable.
+    /// Whether reliability is reliable.
     pub is_reliable: bool,
-    /// Transient local.
+    /// Whether durability is transient local.
     pub is_kept: bool,
 }
 
@@ -116,14 +116,14 @@ impl InKey {
 /// How messages of a class come in.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Inward {
-    /// Requested there.
+    /// The QoS of the subscription on the far side.
     pub qos: Qos,
-    /// Offered by the port here.
+    /// The QoS that the port in the domain offers.
     pub offered: Qos,
-    /// The publishers of the class that this mirror carries, each with its lifespan; others are left to other relays. Empty if
-    /// the subscription only shows in ROS.
+    /// The publishers of the class whose messages this mirror carries, each with its lifespan. Empty if the subscription only shows
+    /// in ROS that there is a subscription in the domain.
     pub publishers: BTreeMap<Gid, Option<Duration>>,
-    /// Publishers of the class whose messages come another way.
+    /// Publishers of the class whose messages another relay carries.
     pub passed_over: BTreeSet<Gid>,
     /// See [`Rule::min_period`](crate::Rule::min_period).
     pub min_period: Option<Duration>,
@@ -132,12 +132,12 @@ pub struct Inward {
 }
 
 impl Inward {
-    /// Whether only what may change without a restart differs.
+    /// Whether the two differ only in values that may change without a restart.
     fn is_same_subscription(&self, other: &Inward) -> bool {
         (self.qos, self.offered, &self.type_hash) == (other.qos, other.offered, &other.type_hash)
     }
 
-    /// Values only grow, because a restart loses or repeats samples.
+    /// Keeps values at least as large as those of `running`, because a restart loses or repeats samples.
     fn grow_from(&mut self, running: &Inward, side: Side) {
         let depth = self.offered.depth.max(running.offered.depth);
         match side {
@@ -148,7 +148,7 @@ impl Inward {
             Side::Network => {
                 let (was, is) = (Class::of(&running.offered), Class::of(&self.offered));
                 let is_kept = was.is_kept || is.is_kept;
-                // A volatile port is not upgraded to reliable: the restart would interrupt publishers already heard.
+                // A volatile port is not upgraded to reliable: the restart would interrupt the publishers that it already serves.
                 let is_reliable = was.is_reliable || (is_kept && is.is_reliable);
                 self.offered = Class { is_reliable, is_kept }.qos(depth);
                 self.qos = self.offered;
@@ -164,7 +164,7 @@ pub struct Outward {
     pub depth: usize,
     /// Whether any publisher is transient local.
     pub is_kept: bool,
-    /// Whether a publisher waits for samples to be taken: it and a subscription on a network keep all.
+    /// Whether publishers wait for samples to be taken: a publisher and a subscription on a network are keep-all.
     pub keeps_all: bool,
     /// See [`Rule::min_period`](crate::Rule::min_period).
     pub min_period: Option<Duration>,
@@ -175,7 +175,7 @@ pub struct Outward {
 /// An action to execute.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Action {
-    /// Create the writer there that mirrors this publisher.
+    /// Create the writer on the far side that mirrors this publisher.
     OpenWriter(TopicKey, Gid, Qos, Option<String>),
     CloseWriter(TopicKey, Gid),
     /// Start taking a topic's samples from shared memory, or restart with changed values: kept samples come again.
@@ -183,7 +183,7 @@ pub enum Action {
     StopOut(TopicKey),
     /// Start or restart taking a class's messages.
     StartIn(InKey, Inward),
-    /// Restart unchanged: kept samples that came another way so far come again.
+    /// Restart unchanged, to receive kept samples of publishers whose messages another relay carried so far.
     AskAgain(InKey, Inward),
     /// Change the publishers and the rate of a class.
     ChangeIn(InKey, Inward),
@@ -221,10 +221,10 @@ impl Action {
 /// Minimum depth of the RMW's queue from ROS: DDS does not announce publishers' depth.
 pub const MIN_DEPTH_IN: usize = 1000;
 /// Minimum of kept samples of a class from ROS; the number doubles as needed. A change repeats samples for existing
-/// subscriptions, so few publishers more must not cause one.
+/// subscriptions, so a few additional publishers must not cause one.
 pub const MIN_KEPT: usize = 32;
 
-/// An endpoint there, and for a publisher whether this mirror carries its messages.
+/// An endpoint on the far side, and for a publisher whether this mirror carries its messages.
 pub type Far<'e> = (&'e TopicEndpoint, bool);
 
 /// The state: everything mirrored now.
@@ -234,7 +234,7 @@ pub struct Mirror {
     writers: BTreeMap<(TopicKey, Gid), Qos>,
     out: BTreeMap<TopicKey, Outward>,
     inward: BTreeMap<InKey, Inward>,
-    /// Topics whose writer was ended from outside, with the samples that it kept.
+    /// Topics of which a writer, with its kept samples, was ended by [`forget_writer`](Self::forget_writer).
     forgotten: BTreeSet<TopicKey>,
     problems: BTreeMap<String, String>,
 }
@@ -250,7 +250,7 @@ struct MirrorPlan {
 struct WantedWriter {
     qos: Qos,
     hash: Option<String>,
-    /// Whether it mirrors a publisher of this host.
+    /// Whether the writer mirrors a publisher of this host.
     is_here: bool,
 }
 
@@ -266,7 +266,7 @@ impl Mirror {
         &self.problems
     }
 
-    /// Takes both graphs, without this mirror's endpoints; of publishers `here`, only those that it announces.
+    /// The actions for both graphs, which exclude this mirror's endpoints. `here` has only the publishers that this mirror announces.
     pub fn update<'e>(
         &mut self,
         here: impl IntoIterator<Item = &'e TopicEndpoint>,
@@ -274,7 +274,7 @@ impl Mirror {
     ) -> Vec<Action> {
         let wanted = self.wanted(here, there);
         let mut actions = Vec::new();
-        // Ends come before starts.
+        // Topics and writers end before others start.
         for key in self.out.keys().filter(|key| !wanted.out.contains_key(*key)) {
             actions.push(Action::StopOut(key.clone()));
         }
@@ -284,7 +284,7 @@ impl Mirror {
         for key in self.inward.keys().filter(|key| !wanted.inward.contains_key(*key)) {
             actions.push(Action::StopIn(key.clone()));
         }
-        // Topics with a transient-local publisher that was passed over before, perhaps, or whose samples went with its writer.
+        // Topics with a transient-local publisher that another relay may have carried before, or whose writer ended with its samples.
         let mut regained = BTreeSet::new();
         let forgotten = std::mem::take(&mut self.forgotten);
         for (writer, WantedWriter { qos, hash, is_here }) in &wanted.writers {
@@ -361,7 +361,7 @@ impl Mirror {
         wanted
     }
 
-    /// A writer has ended: it is created again, if still needed.
+    /// Marks a writer as ended: it is created again, if still needed.
     pub fn forget_writer(&mut self, key: &TopicKey, gid: Gid) {
         self.writers.remove(&(key.clone(), gid));
         self.forgotten.insert(key.clone());
@@ -385,7 +385,7 @@ struct Ends<'e> {
     here: &'e [&'e TopicEndpoint],
     there: &'e [Far<'e>],
     choice: &'e Choice,
-    /// The hash of their definition, if stated.
+    /// The hash of the type's definition, if stated.
     hash: Option<&'e str>,
 }
 
@@ -445,7 +445,7 @@ impl MirrorPlan {
         let types: BTreeSet<&str> = here.iter().map(|end| &*end.topic_type.name).collect();
         let place = Side::Ros.place();
         let is_there = |name: &&str| there.iter().any(|(end, _)| end.topic_type.name == **name);
-        // ROS has one type per topic and process: of several types here, prefer one that is there, then the current one.
+        // ROS has one type per topic and process: of several types here, prefers one that exists in ROS, then the one mirrored now.
         let rank = |name: &&str| (types.len() > 1).then(|| (is_there(name), is_bridged(name)));
         let is_allowed = |name: &&str| choice.type_name.as_deref().is_none_or(|expected| expected == *name);
         let allowed = types.iter().copied().filter(is_allowed);
@@ -465,7 +465,7 @@ impl MirrorPlan {
         let here: Vec<&TopicEndpoint> = here.into_iter().filter(|end| is_of(end, hash)).collect();
         let key = TopicKey::of(topic, choice, type_name, None);
         self.both_ways(Side::Ros, &Ends { key: &key, here: &here, there: &same, choice, hash });
-        // Types that exist only there are of no concern.
+        // Types that exist only in ROS are no problem.
         let also = others.iter().map(|end| &*end.topic_type.name).find(is_there);
         match (same.is_empty(), changed.first(), other.first()) {
             (true, Some((changed, _)), _) => Err(format!(
@@ -492,7 +492,7 @@ impl MirrorPlan {
         let writers = || here.iter().filter(|end| end.kind == EndpointKind::Publisher);
         for end in writers() {
             let qos = choice.qos.applied_to(Qos {
-                // The mirror cannot see assertions of liveliness.
+                // The mirror is not notified of assertions of liveliness.
                 liveliness: tautline_transport::Liveliness::Automatic,
                 liveliness_lease_duration: None,
                 ..end.qos
@@ -521,7 +521,7 @@ impl MirrorPlan {
         }
     }
 
-    /// One class for all publishers.
+    /// Adds one entry for all publishers.
     fn all_in_one(&mut self, ends: &Ends) {
         let Ends { key, here, there, choice, hash } = *ends;
         let publishers = || there.iter().filter(|(end, _)| end.kind == EndpointKind::Publisher);
@@ -531,8 +531,8 @@ impl MirrorPlan {
             return;
         }
         let is_kept = |end: &&&TopicEndpoint| end.qos.durability == Durability::TransientLocal;
-        // No subscription gets more than its depth, whatever publishers claim to keep. Publishers come and go, and a change of
-        // the port repeats samples, so their sum does not count. Depths of other hosts are bounded, because they are untrusted.
+        // No subscription gets more than its depth, so the number of samples that publishers keep does not matter. Publishers come and
+        // go, and a change of the port repeats samples. Depths of other hosts are bounded, because they are untrusted.
         let most = |end: &TopicEndpoint| if end.origin.is_here() { usize::MAX } else { RELAYED_DEPTH };
         let asked = readers.filter(is_kept).map(|end| end.qos.depth.min(most(end))).max();
         let kept = asked.filter(|_| carried().any(|end| is_kept(&&end)));
@@ -550,7 +550,7 @@ impl MirrorPlan {
         self.inward.insert(InKey { topic: key.clone(), class: None }, inward);
     }
 
-    /// One entry per class of publishers.
+    /// Adds one entry per class of publishers.
     fn by_class(&mut self, ends: &Ends) {
         let Ends { key, here, there, choice, hash } = *ends;
         let readers = || here.iter().filter(|end| end.kind == EndpointKind::Subscription);
@@ -564,7 +564,7 @@ impl MirrorPlan {
                 false => drop(passed_over.entry(class).or_default().insert(end.gid)),
             }
         }
-        // So a future publisher with default QoS matches at once. A reliable request would warn weaker publishers.
+        // So a future publisher with default QoS matches at once. With best-effort readers only, a reliable one would cause QoS warnings.
         if classes.is_empty() && readers().any(|end| end.qos.reliability == Reliability::Reliable) {
             let default = Class { is_reliable: true, is_kept: false };
             classes.insert(Class::of(&choice.qos.applied_to(default.qos(1))), Vec::new());
@@ -594,7 +594,7 @@ impl MirrorPlan {
                 min_period: choice.min_period,
                 type_hash: hash.map(str::to_owned),
             };
-            // Only a `qos` of the configuration can cause this.
+            // Only a `qos` in the configuration can cause this.
             if let Some(policy) = publishers.iter().find_map(|end| end.qos.incompatibility(&qos)) {
                 let reason = format!(
                     "a publisher in ROS is QoS-incompatible with `qos` of the configuration ({policy:?}): remove that policy"
@@ -633,7 +633,7 @@ fn type_of(end: &TopicEndpoint) -> (&str, Option<&str>) {
     (&end.topic_type.name, end.topic_type.hash.as_deref())
 }
 
-/// An unknown hash matches any.
+/// Whether the endpoint's type has this hash; an unknown hash matches any.
 fn is_of(end: &TopicEndpoint, hash: Option<&str>) -> bool {
     end.topic_type.hash.as_deref().is_none_or(|stated| hash.is_none_or(|hash| hash == stated))
 }
@@ -643,7 +643,7 @@ fn kept_depth(wanted: usize) -> usize {
     depth.min(Limits::MAX_DEPTH)
 }
 
-/// Number of samples that a publisher there keeps; keep-all counts as a large number.
+/// Number of samples that a publisher on the far side keeps; keep-all counts as a large number.
 fn kept_there(qos: &Qos) -> usize {
     const KEEP_ALL: usize = 1000;
     if qos.history == History::KeepAll { qos.depth.max(KEEP_ALL) } else { qos.depth.max(1) }

@@ -12,7 +12,7 @@ pub struct Pattern(String);
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("'{pattern}' is not a pattern of topic names: {reason}; write like /chatter, /camera/** or /*/odom")]
 pub struct PatternError {
-    /// What was given.
+    /// The text that was parsed.
     pub pattern: String,
     /// The reason.
     pub reason: &'static str,
@@ -47,7 +47,7 @@ impl Pattern {
         (!self.0.contains('*')).then_some(&*self.0)
     }
 
-    /// `/a/b` of `/a/b/**`.
+    /// The part before a final `/**`, such as `/a/b` for `/a/b/**`, if it has no wildcard.
     pub fn prefix(&self) -> Option<&str> {
         self.0.strip_suffix("/**").filter(|prefix| !prefix.contains('*'))
     }
@@ -83,9 +83,9 @@ impl fmt::Display for Pattern {
 /// Selects names.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Filter {
-    /// If not empty, only these.
+    /// If not empty, only names that match one of these are selected.
     pub allow: Vec<Pattern>,
-    /// None of these.
+    /// Names that match one of these are never selected.
     pub deny: Vec<Pattern>,
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The announced node of endpoints without a node.
+//! The node that is announced for endpoints without a node.
 
 use tautline_transport::NodeName;
 

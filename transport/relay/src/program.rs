@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use tautline_rt::terminal::{Escaped, escaped};
 use tautline_transport::MAX_DOMAIN;
 
-/// True after the first SIGINT, SIGTERM, or SIGHUP that is not ignored. A second one more than 200 ms later exits at once, with 128 plus the signal number.
+/// A flag that the first SIGINT, SIGTERM or unignored SIGHUP sets. A second one over 200 ms later exits with 128 plus the signal number.
 pub fn stop_on_signals() -> Result<Arc<AtomicBool>, SignalError> {
     let stop = Arc::new(AtomicBool::new(false));
     let mut signals = Signals::new(tautline_rt::termination_signals())?;
@@ -34,11 +34,11 @@ pub fn stop_on_signals() -> Result<Arc<AtomicBool>, SignalError> {
 #[error("signal handlers cannot be installed: {0}")]
 pub struct SignalError(#[from] io::Error);
 
-/// Shells may signal a program twice, as a process and in its group; both are one stop.
+/// Signals within this time count as one: a shell may signal a program twice, as a process and as a member of its group.
 const ONE_STOP: Duration = Duration::from_millis(200);
 
-/// Reads `stats` at every `interval` until `stop`, and shows them: as a status line `line` on a terminal, or as lines of JSON.
-/// Also ends when the reader of the output has exited.
+/// Reads `stats` at every `interval` until `stop`, and shows them: as a status line from `line` on a terminal, or as lines of JSON.
+/// Also returns when the reader of the output has exited.
 pub fn show_until<S: Serialize>(
     stop: &AtomicBool,
     interval: Duration,
@@ -58,7 +58,7 @@ pub fn show_until<S: Serialize>(
                     return;
                 }
             } else {
-                // Names and reasons may be other hosts'.
+                // Names and reasons may come from other hosts.
                 bar.0.set_message(escaped(&line(&stats())).replace('\n', " "));
                 bar.0.tick();
             }
@@ -66,12 +66,12 @@ pub fn show_until<S: Serialize>(
     }
 }
 
-/// Standard error, where parts of the text may be other hosts'.
+/// Standard error, with control characters escaped, because parts of the text may come from other hosts.
 pub fn stderr() -> Escaped<io::StderrLock<'static>> {
     Escaped::new(io::stderr().lock())
 }
 
-/// Writes a line to [`stderr`]. Unlike `eprintln!` it goes on where that is closed or full, for nobody reads it.
+/// Writes a line to [`stderr`]. Unlike `eprintln!`, it does not panic if standard error is closed or full.
 pub fn say(text: fmt::Arguments<'_>) {
     let _ = writeln!(stderr(), "{text}");
 }
@@ -83,13 +83,13 @@ fn print(stats: &impl Serialize) -> io::Result<()> {
     out.flush()
 }
 
-/// Draws only on a terminal.
+/// The status line, which is drawn only on a terminal.
 struct Bar(ProgressBar);
 
 impl Bar {
     fn new(is_hidden: bool) -> Self {
         let bar = if is_hidden { ProgressBar::hidden() } else { ProgressBar::new_spinner() };
-        // A template without fallible placeholders.
+        // The template is valid.
         let style = ProgressStyle::with_template("{wide_msg}");
         bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
         Bar(bar)
@@ -134,12 +134,12 @@ pub fn parse_interval(text: &str) -> Result<f64, String> {
     seconds.ok_or_else(|| "from 0.1 to 3600 seconds".into())
 }
 
-/// `1 topic`, `2 topics`.
+/// A count with its noun: `1 topic`, `2 topics`.
 pub fn counted(count: usize, one: &str, many: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { many })
 }
 
-/// `80.0 kB/s`.
+/// A rate such as `80.0 kB/s`.
 pub(crate) fn rate(bytes_per_s: f64) -> String {
     match bytes_per_s {
         b if b >= 1e6 => format!("{:.1} MB/s", b / 1e6),

@@ -13,7 +13,7 @@ use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{RtError, ThreadBuilder, ThreadInfo};
 use tautline_transport::{Gid, Participant, RawSubscription, SamplerSeat, TransportError};
 
-/// The thread that takes samples and gives them to an [`Egress`]; dropping this ends both.
+/// The thread that takes samples and passes them to an [`Egress`]; dropping this ends both.
 pub struct Relay<O: Egress> {
     worker: Worker<Job<Loop<O>>>,
     passed_over: PassedOver,
@@ -48,7 +48,7 @@ impl<O: Egress> Relay<O> {
     }
 
     /// Takes this topic's samples through `subscription` from now on, in place of an earlier one. Kept samples arrive at once, so
-    /// pass the existing senders along: see [`open`](Self::open).
+    /// `senders` must contain the senders that already exist: see [`open`](Self::open).
     pub fn start_topic(
         &self,
         key: O::Key,
@@ -70,7 +70,7 @@ impl<O: Egress> Relay<O> {
         }));
     }
 
-    /// The publisher `gid` has ended.
+    /// Removes the sender of the publisher `gid`, which has ended, after its remaining samples.
     pub fn close(&self, key: O::Key, gid: Gid) {
         self.worker.send(Box::new(move |Loop { routes, sources, egress, .. }| {
             if let Some(route) = routes.get_mut(&key) {
@@ -88,8 +88,8 @@ impl<O: Egress> Relay<O> {
         }));
     }
 
-    /// Publishers whose samples are not forwarded. Samples from ports of this participant are not either: they came from the side
-    /// where the relay's samples go.
+    /// Publishers whose samples are not forwarded. Samples from ports of this participant are not forwarded either, because they came
+    /// from the far side.
     pub fn passed_over(&self) -> &PassedOver {
         &self.passed_over
     }
@@ -106,7 +106,7 @@ struct Loop<O: Egress> {
 impl<O: Egress> Loop<O> {
     fn run(mut self, jobs: &mpsc::Receiver<Job<Self>>) {
         const REFRESH_PERIOD: Duration = Duration::from_millis(500);
-        /// While a topic waits for room.
+        /// The period while a topic waits for room.
         const BLOCKED_PERIOD: Duration = Duration::from_millis(5);
         let mut next_check = Instant::now() + REFRESH_PERIOD;
         loop {

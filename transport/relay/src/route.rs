@@ -30,13 +30,13 @@ pub trait Egress: Send + 'static {
         true
     }
 
-    /// Forwards a sample. After a change of subscription or port, samples come again: see [`Last`].
+    /// Forwards a sample. After a change of the subscription or port, samples are repeated: see [`Last`].
     fn pass(&mut self, topic: &mut Self::Topic, sender: &mut Self::Sender, sample: OutboundSample);
 
-    /// A sample was dropped: its publisher got no counterpart in time, or too many samples were held.
+    /// Counts a dropped sample: its publisher got no counterpart in time, or too many samples were held.
     fn dropped(topic: &Self::Topic);
 
-    /// `samples` more were overwritten before they were taken.
+    /// Counts `samples` more that were overwritten before they were taken.
     fn lost(topic: &Self::Topic, samples: u64);
 }
 
@@ -51,11 +51,11 @@ pub struct Outbound {
 /// Limits, per topic, of samples held for publishers without a counterpart.
 #[derive(Clone, Copy, Debug)]
 pub struct EarlyLimits {
-    /// Their number.
+    /// Maximum number of samples.
     pub samples: usize,
-    /// Total bytes of their bodies.
+    /// Maximum of the total bytes of their bodies.
     pub bytes: usize,
-    /// Time-out of each.
+    /// Time-out of each sample.
     pub time: Duration,
 }
 
@@ -122,7 +122,7 @@ pub struct Last {
 }
 
 impl Last {
-    /// Whether it is new; marks it as forwarded. A port's numbers increase; a port that replaces another may repeat its samples.
+    /// Whether the sample is new; records it as forwarded. The numbers of a port increase; a port that replaces another may repeat samples.
     pub fn admits(&mut self, sample: &OutboundSample) -> bool {
         let (port, number) = sample.port();
         self.admits_numbers(port, number, sample.info().sequence_number)
@@ -143,7 +143,7 @@ impl Last {
 /// Publishers whose samples are not forwarded, because another relay carries them.
 pub type PassedOver = Arc<PiMutex<HashSet<Gid>>>;
 
-/// Which samples are forwarded.
+/// Decides which samples are forwarded.
 pub(crate) struct Sources {
     /// The relay's own participant: samples from its ports came from the far side.
     pub(crate) own: u64,
@@ -168,9 +168,9 @@ pub(crate) struct TopicRoute<O: Egress> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Served {
     All,
-    /// There is no room for more.
+    /// A sender has no room for samples.
     Blocked,
-    /// There may be more.
+    /// There may be more samples.
     Some,
 }
 
@@ -194,14 +194,14 @@ impl<O: Egress> TopicRoute<O> {
         sources: &Sources,
         egress: &mut O,
     ) {
-        // The new one has existed for a while: first older samples, then common ones once.
+        // Both have existed for a while: the old one's samples come first, and duplicates from the new one are dropped.
         self.serve_all(sources, egress);
         self.refresh(sources);
         (self.subscription, self.topic, self.lost) = (subscription, topic, 0);
         self.flag.set();
     }
 
-    /// If rung, forwards at most one turn of samples.
+    /// If the flag is set, forwards at most one turn of samples.
     pub(crate) fn serve_if_rung(&mut self, sources: &Sources, egress: &mut O) -> Served {
         if !self.flag.take() {
             return Served::All;
@@ -213,7 +213,7 @@ impl<O: Egress> TopicRoute<O> {
         if self.serve(sources, egress) { Served::Some } else { Served::All }
     }
 
-    /// Returns whether there may be more.
+    /// Forwards at most one turn of samples. Returns whether there may be more.
     fn serve(&mut self, sources: &Sources, egress: &mut O) -> bool {
         let waker = self.flag.waker();
         let mut context = Context::from_waker(&waker);
@@ -229,10 +229,10 @@ impl<O: Egress> TopicRoute<O> {
 
     /// Forwards all queued samples: at most the queue's capacity, because a publisher could be faster.
     fn serve_all(&mut self, sources: &Sources, egress: &mut O) {
-        // Present publishers, ended ones that are not closed yet, and one undiscovered.
+        // Present publishers, ended publishers that are not closed yet, and one undiscovered publisher.
         let publishers = self.subscription.publisher_count() + self.senders.len() + 1;
         for _ in 0..turns(self.subscription.qos().depth, publishers) {
-            // After a turn of skipped samples the flag is set at once for those behind them.
+            // After a turn of skipped samples, the flag is set at once, because there may be samples behind them.
             if !self.serve(sources, egress) && !self.flag.take() {
                 break;
             }
@@ -264,7 +264,7 @@ impl<O: Egress> TopicRoute<O> {
         self.early.push_back(Early { port, number, info, body, since: Instant::now() });
     }
 
-    /// A publisher has got its counterpart: forwards its held samples first.
+    /// Adds the counterpart of a publisher, and first forwards the publisher's held samples.
     pub(crate) fn open(&mut self, gid: Gid, mut sender: O::Sender, egress: &mut O) {
         for early in std::mem::take(&mut self.early) {
             if early.info.publisher_gid == gid {
@@ -277,13 +277,13 @@ impl<O: Egress> TopicRoute<O> {
         self.senders.insert(gid, sender);
     }
 
-    /// A publisher has ended: forwards its queued samples first.
+    /// Removes the counterpart of an ended publisher, and first forwards its queued samples.
     pub(crate) fn close(&mut self, gid: Gid, sources: &Sources, egress: &mut O) {
         self.serve_all(sources, egress);
         self.senders.remove(&gid);
     }
 
-    /// Forwards what is queued, and drops held samples.
+    /// Forwards the queued samples, and drops the held ones.
     pub(crate) fn end(mut self, sources: &Sources, egress: &mut O) {
         self.serve_all(sources, egress);
         self.refresh(sources);
@@ -313,7 +313,7 @@ impl<O: Egress> TopicRoute<O> {
     }
 }
 
-/// Turns that empty queues of this depth for `publishers` publishers.
+/// Number of turns that empty queues of this depth, one for each of `publishers`.
 fn turns(depth: usize, publishers: usize) -> usize {
     depth.saturating_mul(publishers).div_ceil(TURN) + 1
 }

@@ -23,7 +23,7 @@ pub struct Rule {
     pub topic: Pattern,
     /// The names on the far side, if different: a name for a name, `/b/**` for `/a/**`.
     pub far_topic: Option<Pattern>,
-    /// `None`: both.
+    /// The direction to mirror; `None`: both.
     pub direction: Option<Direction>,
     /// The expected type.
     pub type_name: Option<String>,
@@ -75,11 +75,11 @@ impl QosOverride {
 /// All rules.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Rules {
-    /// The first match counts.
+    /// Rules for topics, of which the first match counts.
     pub rules: Vec<Rule>,
     /// Whether topics without a rule are mirrored too.
     pub auto: bool,
-    /// Selects among these; topics that it denies are never mirrored, whatever a rule says.
+    /// Selects topics without a rule. Topics that it denies are never mirrored, even if a rule matches.
     pub filter: Filter,
 }
 
@@ -139,7 +139,7 @@ impl Rules {
     }
 }
 
-/// `/b/x` for `/a/x`, by `/a/**` and `/b/**`; `/b` for `/a`, by `/a` and `/b`.
+/// Translates a name: `/a/x` to `/b/x` by the patterns `/a/**` and `/b/**`; `/a` to `/b` by `/a` and `/b`.
 fn translated(name: &str, from: &Pattern, to: &Pattern) -> Option<String> {
     if let (Some(from), Some(to)) = (from.exact(), to.exact()) {
         return (name == from).then(|| to.to_owned());

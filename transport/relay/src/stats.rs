@@ -24,7 +24,7 @@ const ENDED_TIME: Duration = Duration::from_secs(60);
 pub(crate) struct SinceEnd(Duration);
 
 impl SinceEnd {
-    /// After `elapsed` more time, in which it was in use or not: whether it stays in the statistics.
+    /// Adds the time `elapsed`, unless the topic or service is in use. Returns whether it stays in the statistics.
     pub(crate) fn is_kept(&mut self, is_used: bool, elapsed: Duration) -> bool {
         self.0 = if is_used { Duration::ZERO } else { self.0.saturating_add(elapsed) };
         self.0 < ENDED_TIME
@@ -37,9 +37,9 @@ pub struct TopicCounters(PiMutex<Counts>);
 
 #[derive(Debug)]
 struct Counts {
-    /// Without rates and latency.
+    /// The counters, without rates and latency.
     reading: Reading,
-    /// In microseconds, up to the 10 s of `CLOCKS_AGREE_NS`.
+    /// Latencies in microseconds, up to the 10 s of `CLOCKS_AGREE_NS`.
     latency_us: Histogram<u64>,
 }
 
@@ -66,7 +66,7 @@ impl TopicCounters {
         }
     }
 
-    /// Counts messages that were lost before they arrived here.
+    /// Counts messages that were lost before they arrived at this program.
     pub fn lost(&self, messages: u64) {
         self.0.lock().reading.lost += messages;
     }
@@ -76,7 +76,7 @@ impl TopicCounters {
         *self.0.lock().reading.dropped.entry(reason.to_string()).or_default() += 1;
     }
 
-    /// Reads the counters, without rates, which need the previous reading.
+    /// Reads the counters. Rates are not set, because they need the previous reading.
     pub(crate) fn read(&self) -> Reading {
         let Counts { reading, latency_us: latency } = &*self.0.lock();
         let latency_us = (!latency.is_empty()).then(|| Latency {
@@ -95,10 +95,10 @@ pub struct Numbers(HashMap<Gid, u64>);
 impl Numbers {
     /// Maximum of publishers; beyond it, which a hostile peer can cause, all are forgotten.
     const MOST: usize = 1024;
-    /// Longer gaps are not counted, and such numbers are ignored.
+    /// Gaps of at least this length are not counted, and the numbers after them are ignored.
     const LONGEST: u64 = 1 << 32;
 
-    /// Number of this publisher's messages missing before this one; `None` for a repeated number.
+    /// The number of this publisher's messages that are missing before `number`; `None` for a repeated number.
     pub fn missing(&mut self, gid: Gid, number: u64) -> Option<u64> {
         if self.0.len() >= Self::MOST && !self.0.contains_key(&gid) {
             self.0.clear();
@@ -115,7 +115,7 @@ impl Numbers {
         Some(missing)
     }
 
-    /// Forgets ended publishers.
+    /// Forgets the publishers for which `gone` is true.
     pub fn forget(&mut self, gone: impl Fn(&Gid) -> bool) {
         self.0.retain(|gid, _| !gone(gid));
     }
@@ -128,21 +128,21 @@ pub struct Reading {
     pub messages: u64,
     /// Bytes of their bodies.
     pub bytes: u64,
-    /// In the last second.
+    /// Messages per second, in the last second.
     pub messages_per_s: f64,
-    /// In the last second.
+    /// Bytes per second, in the last second.
     pub bytes_per_s: f64,
-    /// Messages lost before they arrived here: gaps in sequence numbers, or overwritten in a queue.
+    /// Messages lost before they arrived at this program: gaps in sequence numbers, or overwritten in a queue.
     pub lost: u64,
-    /// Messages dropped here, by reason.
+    /// Messages that this program dropped, by reason.
     pub dropped: BTreeMap<String, u64>,
-    /// From the publisher's time stamp until forwarding, if the clocks agree. `None`: they do not, or there was no message.
+    /// Time from the publisher's time stamp to forwarding, if the clocks agree. `None`: they do not, or there was no message.
     pub latency_us: Option<Latency>,
     /// Messages with a time stamp in the future or over 10 s old: the clocks differ, or they were kept for late joiners.
     pub clocks_differ: u64,
 }
 
-/// Microseconds, since the program started.
+/// Latencies since the program started, in microseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Latency {
     /// Median.
@@ -231,7 +231,7 @@ impl Counted {
     }
 }
 
-/// `out 4 topics 1.2 MB/s 100/s | in 1 topic 80 kB/s 10/s | lost 0, dropped 0`, with the names of the directions.
+/// `out 4 topics 1.2 MB/s 100/s | in 1 topic 80 kB/s 10/s | lost 0, dropped 0`; `ways` has the names of the directions.
 pub fn passing<N, D: Copy + PartialEq>(
     topics: &[TopicStats<N, D>],
     ways: [(D, &str); 2],
@@ -239,7 +239,7 @@ pub fn passing<N, D: Copy + PartialEq>(
     let mut text = String::new();
     for (direction, name) in ways {
         let of = || topics.iter().filter(move |topic| topic.active && topic.direction == direction);
-        // Not `sum`, which begins with -0.
+        // Not `Iterator::sum`, which begins with -0.
         let sum = |of_topic: fn(&Reading) -> f64| of().fold(0.0, |sum, topic| sum + of_topic(&topic.reading));
         let (bytes, messages) = (sum(|reading| reading.bytes_per_s), sum(|reading| reading.messages_per_s));
         text += &format!(

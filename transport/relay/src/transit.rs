@@ -1,19 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Decides which endpoints of one side a gateway or bridge announces on the other, and carries, by their origins. So a message
-//! enters each domain, network and ROS 2 graph once, however these are connected.
+//! Decides by the origins of endpoints which ones a gateway or bridge announces on its other side, and which messages it carries. So
+//! a message enters each domain, network and ROS 2 graph once, however these are connected.
 //!
-//! On each side the announcer with the least [`Rank`] carries an endpoint; the others carry nothing of it. As in path-vector
+//! On each side the announcer with the least [`Rank`] carries the messages of an endpoint; the others do not. As in path-vector
 //! routing, an announcement that has passed a domain is not accepted there again, so no announcement keeps itself alive in a
 //! loop; and when the best path ends, the next one is already known.
 
 use std::collections::HashMap;
 use tautline_transport::{Gid, Origin, Rank};
 
-/// Minimum queue depth for samples of a publisher on another host: its own depth is what it keeps there, if known at all, and
-/// samples arrive here in bursts.
+/// Minimum queue depth for samples of a publisher on another host: the publisher's own depth, if known, is the number of samples that
+/// it keeps there, and samples arrive here in bursts.
 pub const RELAYED_DEPTH: usize = 100;
 
-/// The announcements that one gateway or bridge knows; pure.
+/// The announcements that a gateway or bridge knows. Decides without I/O.
 pub struct Transit {
     domain: u64,
     participant: u64,
@@ -22,31 +22,31 @@ pub struct Transit {
     goes_on: bool,
     place: String,
     rivals: HashMap<u64, Rank>,
-    /// The best announcer of each tag there.
+    /// The best announcer of each tag on the far side.
     far: HashMap<u64, Rank>,
 }
 
 impl Transit {
-    /// Between a domain, as `participant`, and a network, as `own`. `place` is this host's name for people.
+    /// The transit between a domain, where the relay is `participant`, and a network, where it is `own`. `place` is this host's name.
     pub fn to_network(domain: u64, participant: u64, own: u128, place: &str) -> Self {
         let (rivals, far) = Default::default();
         let place = Origin::here(Gid::default(), place).place;
         Transit { domain, participant, own, crossed_ros: 0, goes_on: true, place, rivals, far }
     }
 
-    /// Between a domain and a ROS 2 graph; like [`to_network`](Self::to_network).
+    /// The transit between a domain and a ROS 2 graph; like [`to_network`](Self::to_network).
     pub fn to_ros(domain: u64, participant: u64, own: u128, place: &str) -> Self {
         Transit { crossed_ros: 1, ..Self::to_network(domain, participant, own, place) }
     }
 
-    /// Sets whether announcements of others in the domain are announced too (default: yes).
+    /// Sets whether endpoints that other relays announce in the domain are announced, too (default: yes).
     #[must_use = "it returns the changed Transit"]
     pub fn going_on(self, goes_on: bool) -> Self {
         Transit { goes_on, ..self }
     }
 
-    /// Sets the others' announcements in the domain: [`GraphSnapshot::rivals`](tautline_transport::GraphSnapshot::rivals).
-    /// Forgets the far side.
+    /// Sets the announcements of other relays in the domain: [`GraphSnapshot::rivals`](tautline_transport::GraphSnapshot::rivals).
+    /// Forgets those of the far side.
     pub fn reset(&mut self, rivals: &HashMap<u64, Rank>) {
         self.rivals.clone_from(rivals);
         self.far.clear();
@@ -65,8 +65,8 @@ impl Transit {
         self.far.get(&tag).copied()
     }
 
-    /// The origin under which to announce `teller`'s endpoint in the domain; `None`: do not, because it has passed the domain
-    /// before, or there is a better announcer.
+    /// The origin under which to announce `teller`'s endpoint in the domain; `None`: do not announce it, because it has passed the
+    /// domain before, or there is a better announcer.
     pub fn origin_here(&self, origin: &Origin, teller: u128) -> Option<Origin> {
         let is_best = self.best(origin.tag).is_none_or(|best| best == origin.rank(teller));
         if !is_best || !origin.is_new_to(self.domain) {
@@ -74,27 +74,27 @@ impl Transit {
         }
         let mut told = Origin { ros: origin.ros.saturating_add(self.crossed_ros), ..origin.clone() };
         if told.place.is_empty() {
-            // Never empty, which would mean this host.
+            // Not empty, because an empty place means this host.
             told.place.push_str("elsewhere");
         }
         Some(told)
     }
 
-    /// Whether its messages enter the domain here.
+    /// Whether this relay carries the messages of `teller`'s endpoint into the domain.
     pub fn carries(&self, origin: &Origin, teller: u128) -> bool {
         let Some(told) = self.origin_here(origin, teller) else { return false };
         let own = told.rank(self.participant.into());
         self.rivals.get(&origin.tag).is_none_or(|rival| own < *rival)
     }
 
-    /// The origin under which to announce an endpoint in the domain, local or not, on the far side; `None`: do not.
+    /// The origin under which to announce an endpoint in the domain, local or not, on the far side; `None`: do not announce it.
     pub fn announced(&self, origin: &Origin) -> Option<Origin> {
         if !self.goes_on && !origin.is_here() {
             return None;
         }
         let mut announced = origin.clone().told_by(self.domain);
         if origin.is_here() {
-            // Nobody announces it better, whatever others claim.
+            // No announcer is better than this one, even if another relay claims a lower rank.
             announced.place.clone_from(&self.place);
             return Some(announced);
         }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Wakes a forwarding thread, and flags the topics or services concerned: only these are served.
+//! Wakes a forwarding thread, and flags the topics or services that need serving: only these are served.
 
 use futures::task::{ArcWake, waker};
 use std::sync::Arc;
@@ -7,10 +7,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::Waker;
 use tautline_transport::{SamplerSeat, Slot};
 
-/// Wakes the relay's thread. As a waker, for use after setting a [`Flag`].
+/// Wakes the relay's thread. Set a [`Flag`] before calling it as a waker.
 pub(crate) struct RelayWaker {
     slot: Slot,
-    /// Whether the relay is draining rings and will read the flags afterwards: no ring is needed.
+    /// Whether the relay's thread is draining rings: it reads the flags afterwards, so no ring is needed.
     is_draining: AtomicBool,
 }
 
@@ -24,7 +24,7 @@ impl RelayWaker {
         self.slot.ring();
     }
 
-    /// Takes pending rings, which sets flags. Read the flags afterwards.
+    /// Takes pending rings, whose wakers set flags. The caller reads the flags afterwards.
     pub(crate) fn drain(&self, seat: &SamplerSeat) {
         self.is_draining.store(true, Ordering::SeqCst);
         seat.drain(|_| {});
@@ -34,15 +34,15 @@ impl RelayWaker {
 
 impl ArcWake for RelayWaker {
     fn wake_by_ref(relay: &Arc<Self>) {
-        // In one total order with the relay's two steps, the end of `RelayWaker::drain` and `Flag::take`: either the relay sees
-        // the flag, or it is rung.
+        // SeqCst: in one total order with the relay thread's two steps, the end of `RelayWaker::drain` and then `Flag::take`: either
+        // the relay's thread sees the flag, or it is rung.
         if !relay.is_draining.load(Ordering::SeqCst) {
             relay.ring();
         }
     }
 }
 
-/// Set when a topic or service needs serving, for example when its subscription is rung. Its waker sets it and wakes the thread.
+/// Set while a topic or service needs serving, for example after its subscription is rung. Its waker sets it and wakes the thread.
 pub(crate) struct Flag {
     is_set: AtomicBool,
     thread: Waker,
@@ -54,7 +54,7 @@ impl Flag {
         Arc::new(Flag { is_set: AtomicBool::new(true), thread })
     }
 
-    /// For the thread itself, which reads it again before it sleeps.
+    /// Sets the flag without a wake: for the thread itself, which reads the flag again before it sleeps.
     pub(crate) fn set(&self) {
         self.is_set.store(true, Ordering::SeqCst);
     }

@@ -15,7 +15,7 @@ pub struct Worker<C> {
 pub type Job<T> = Box<dyn FnOnce(&mut T) + Send>;
 
 impl<C: Send + 'static> Worker<C> {
-    /// Starts the thread with `run`, which returns when no more commands can come. `wake` ends its current or next wait.
+    /// Starts the thread with `run`, which returns when no more commands can come. `wake` ends the thread's current or next wait.
     ///
     /// # Errors
     /// [`RtError`]: a missing privilege.
@@ -54,7 +54,7 @@ impl<C> Drop for Worker<C> {
     }
 }
 
-/// Passes all pending commands to `obey`. Returns whether more may come.
+/// Passes all pending commands to `obey`. Returns false when no more can come.
 pub fn commanded<C>(commands: &mpsc::Receiver<C>, mut obey: impl FnMut(C)) -> bool {
     loop {
         match commands.try_recv() {

@@ -6,19 +6,19 @@ use std::collections::{BTreeSet, HashMap};
 use std::time::{Duration, Instant};
 use tautline_transport::Gid;
 
-/// How long a new writer is polled often for matches; later, with each tick.
+/// How long a new writer is polled at short intervals for matches; later, it is polled at each tick.
 pub(crate) const MATCH_TIME: Duration = Duration::from_secs(3);
 
-/// How long the writer of an ended publisher may wait until all that it sent has arrived: two heartbeats of Fast DDS, of 3 s, after which what did
-/// not fit is sent again.
+/// How long the writer of an ended publisher is kept until all of its samples have arrived: two heartbeats of Fast DDS, of 3 s each,
+/// after which samples that did not fit are sent again.
 pub(crate) const SETTLE_TIME: Duration = Duration::from_secs(7);
 
 /// Writers by topic and mirrored publisher.
 pub struct Writers<W> {
     held: HashMap<(TopicKey, Gid), OpenedWriter<W>>,
-    /// Next check for writers to open.
+    /// Time of the next check for writers to open.
     next: Option<Instant>,
-    /// Writers of ended publishers, with the time of their end, until all that they sent has arrived.
+    /// Writers of ended publishers, with the time of their end, until all of their samples have arrived.
     ended: Vec<(TopicKey, W, Instant)>,
 }
 
@@ -27,7 +27,7 @@ struct OpenedWriter<W> {
     opened: Instant,
     /// Whether samples are sent through it.
     is_open: bool,
-    /// After a failure: when it is retried.
+    /// The time of the next attempt, after opening failed.
     later: Option<Instant>,
 }
 
@@ -36,10 +36,10 @@ const LATER: Duration = Duration::from_secs(1);
 
 /// Mirrors a publisher of the domain.
 pub trait FarWriter: Send {
-    /// Whether it has matched: samples sent before are lost.
+    /// Whether the writer has matched: samples that are sent before are lost.
     fn is_matched(&self) -> bool;
 
-    /// Whether all that was sent through it has arrived: what has not is lost with it.
+    /// Whether all samples of the writer have arrived: if it is dropped before, the others are lost.
     fn is_settled(&self) -> bool {
         true
     }
@@ -53,24 +53,24 @@ impl<W> Default for Writers<W> {
 
 impl<W: FarWriter> Writers<W> {
     pub(crate) fn insert(&mut self, key: TopicKey, gid: Gid, writer: W) {
-        self.take();
+        self.request_check();
         self.held
             .insert((key, gid), OpenedWriter { writer, opened: Instant::now(), is_open: false, later: None });
     }
 
-    /// Drops a writer as soon as all that it sent has arrived: see [`drop_settled`](Self::drop_settled).
+    /// Removes a writer, which is dropped as soon as all of its samples have arrived: see [`drop_settled`](Self::drop_settled).
     pub(crate) fn remove(&mut self, key: &TopicKey, gid: Gid) {
         let removed = self.held.remove_entry(&(key.clone(), gid));
         self.ended.extend(removed.map(|((key, _), held)| (key, held.writer, Instant::now())));
     }
 
-    /// Like [`remove`](Self::remove), all of them.
+    /// Removes all writers, like [`remove`](Self::remove).
     pub(crate) fn remove_all(&mut self) {
         let now = Instant::now();
         self.ended.extend(self.held.drain().map(|((key, _), held)| (key, held.writer, now)));
     }
 
-    /// Drops removed writers that have settled, or had `patience` for it. Returns whether others are left.
+    /// Drops removed writers that have settled, or that were removed at least `patience` ago. Returns whether others are left.
     pub(crate) fn drop_settled(&mut self, patience: Duration) -> bool {
         let mut late = BTreeSet::new();
         self.ended.retain(|(key, writer, since)| {
@@ -89,23 +89,23 @@ impl<W: FarWriter> Writers<W> {
         !self.ended.is_empty()
     }
 
-    /// Writers that `is_right` rejects.
-    pub(crate) fn others(&self, is_right: impl Fn(&Gid, &W) -> bool) -> Vec<(TopicKey, Gid)> {
+    /// The writers for which `is_right` is false.
+    pub(crate) fn outdated(&self, is_right: impl Fn(&Gid, &W) -> bool) -> Vec<(TopicKey, Gid)> {
         let others = self.held.iter().filter(|((_, gid), held)| !is_right(gid, &held.writer));
         others.map(|(of, _)| of.clone()).collect()
     }
 
-    /// All writers, each with its publisher.
+    /// All writers, each with its topic and publisher.
     pub fn iter(&self) -> impl Iterator<Item = (&TopicKey, Gid, &W)> {
         self.held.iter().map(|((key, gid), held)| (key, *gid, &held.writer))
     }
 
-    /// Like [`iter`](Self::iter).
+    /// All writers, each with its topic.
     pub fn iter_mut(&mut self) -> impl Iterator<Item = (&TopicKey, &mut W)> {
         self.held.iter_mut().map(|((key, _), held)| (key, &mut held.writer))
     }
 
-    /// The topic's samples are no longer taken.
+    /// Closes the writers of a topic whose samples are no longer taken.
     pub(crate) fn close(&mut self, key: &TopicKey) {
         let of_topic = self.held.iter_mut().filter(|((topic, _), _)| topic == key);
         of_topic.for_each(|(_, held)| held.is_open = false);
@@ -116,8 +116,8 @@ impl<W: FarWriter> Writers<W> {
         self.held.iter().any(|((topic, _), held)| topic == key && held.writer.is_matched())
     }
 
-    /// A topic's samples are taken from now on.
-    pub(crate) fn take(&mut self) {
+    /// Requests a check for writers to open, because there is a new writer, or a topic's samples are taken from now on.
+    pub(crate) fn request_check(&mut self) {
         self.next = Some(Instant::now());
     }
 
@@ -131,9 +131,9 @@ impl<W: FarWriter> Writers<W> {
         self.next.is_some_and(|next| Instant::now() >= next)
     }
 
-    /// Opens matched writers of topics for which `is_meant`: samples sent before a match would be lost. A writer without a match
-    /// opens after `MATCH_TIME`, so that it does not hold its samples forever. `make` creates the sender; if that fails, it is
-    /// retried later.
+    /// Opens matched writers of topics for which `is_meant` is true: samples sent before a match would be lost. A writer without a match
+    /// opens after `MATCH_TIME`, so that its samples are not held forever. `make` creates the sender; if that fails, it is retried
+    /// later.
     pub(crate) fn open<S>(
         &mut self,
         is_meant: impl Fn(&TopicKey) -> bool,
@@ -152,7 +152,7 @@ impl<W: FarWriter> Writers<W> {
         opened
     }
 
-    /// Sets the time of the next check, for topics that are taken.
+    /// Sets the time of the next check, by the closed writers of topics whose samples are taken.
     pub(crate) fn schedule_check(&mut self, is_taken: impl Fn(&TopicKey) -> bool) {
         let closed = self.held.iter().filter(|((key, _), held)| !held.is_open && is_taken(key));
         self.next = closed.map(|(_, held)| held.later.unwrap_or_else(Instant::now)).min();

@@ -24,7 +24,7 @@ use tautline_rt::shm::{self, PeerFile, ShmError};
 
 /// How long a killed publisher's samples wait for subscriptions that have not found them yet: meanwhile others do not see that it died.
 const PATIENCE: Duration = Duration::from_millis(20);
-/// The same of a participant whose publishers have all ended, which others have seen.
+/// The same for a participant whose publishers had all ended before, which the other participants have seen.
 const PATIENCE_AFTER_END: Duration = Duration::from_secs(10);
 /// How often this is checked.
 const PERIOD: Duration = Duration::from_millis(1);
@@ -44,7 +44,7 @@ pub(super) enum FileState {
 /// The files of the domain's folder that have owners.
 ///
 /// # Errors
-/// The system refuses, at its limit of open files for one.
+/// The system refuses, for example at its limit of open files.
 pub(super) fn names(domain: u32) -> Result<Vec<String>, TransportError> {
     let paths = shm::list(&format!("{}/", shared_folder(domain))).map_err(file::file_error)?;
     let names = paths.iter().filter_map(|path| path.file_name()?.to_str());
@@ -67,8 +67,8 @@ pub(super) struct Dead {
 /// Checks whether the owner of the file `name` is alive.
 ///
 /// # Errors
-/// The system refuses, at its limit of open files for one.
-pub(super) fn look_after(domain: &Domain, name: &str) -> Result<FileState, TransportError> {
+/// The system refuses, for example at its limit of open files.
+pub(super) fn check_file(domain: &Domain, name: &str) -> Result<FileState, TransportError> {
     let path = shared_path(domain.number()).join(name);
     let file = match PeerFile::open(path, false) {
         Err(ShmError { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
@@ -88,7 +88,7 @@ pub(super) fn look_after(domain: &Domain, name: &str) -> Result<FileState, Trans
     let id = file::id_of(name);
     let peer = match id.map(|id| Peer::open(domain.number(), id)) {
         Some(Err(error)) if error.is_passing() => return Err(error),
-        // What cannot be read is nobody's, and waits for nobody.
+        // A file that cannot be read belongs to no participant, and its cleanup waits for nobody.
         peer => peer.and_then(|peer| peer.ok().flatten()),
     };
     let (sent, has_ended) = peer.as_ref().map_or((Vec::new(), false), publishers);
@@ -102,7 +102,7 @@ pub(super) fn clean_up(domain: &Domain, dead: &mut Vec<Dead>) {
         return;
     }
     let mut places: BTreeMap<u64, usize> = domain.members().map(|member| (member.id, member.place)).collect();
-    // They find nothing any more.
+    // Dead participants do not map anything any more.
     places.retain(|id, _| dead.iter().all(|dead| dead.id != Some(*id)));
     let mut has_changed = false;
     let mut removed = Vec::new();
@@ -131,29 +131,29 @@ pub(super) fn clean_up(domain: &Domain, dead: &mut Vec<Dead>) {
         domain.call_all();
     }
     for file in removed {
-        // One that another user may not remove stays.
+        // A file that this user may not remove stays.
         let _ = rustix::fs::unlink(file.path());
     }
 }
 
 impl Dead {
-    /// How soon it is looked at again.
+    /// The time until the next check.
     pub(super) fn period(&self) -> Duration {
         if self.has_ended { PERIOD_AFTER_END } else { PERIOD }
     }
 
-    /// Whether who becomes or was the warden waits until it is cleaned up.
+    /// Whether a participant that becomes the warden, or stops being it, waits until this cleanup is complete.
     pub(super) fn is_urgent(&self) -> bool {
         !self.has_ended
     }
 
-    /// Nobody comes after this process.
+    /// Shortens the patience: after this process there may be no other one to complete the cleanup.
     pub(super) fn hurry(&mut self) {
         self.has_ended = false;
         self.until = self.until.min(Instant::now() + PATIENCE);
     }
 
-    /// The entries of the participants that have not mapped yet what was sent to them.
+    /// The entries of the participants that have not mapped yet all samples that were sent to them.
     fn awaited(&self, places: &BTreeMap<u64, usize>) -> BTreeSet<usize> {
         let behind = self.sent.iter().flat_map(|view| {
             let grown = view.head().grown.load(Ordering::Acquire);
@@ -165,7 +165,7 @@ impl Dead {
     }
 }
 
-/// The memory of each publisher that its record tells of, and whether all have ended.
+/// The memory of each publisher in the record of `peer`, and whether all of them have ended.
 fn publishers(peer: &Peer) -> (Vec<View>, bool) {
     let news = Reader::default().read(peer);
     let mut places = BTreeMap::new();

@@ -3,7 +3,7 @@
 //! by a participant that created or ended a port that concerns this one, by the warden that found a dead participant, or by a thread
 //! of its own process.
 //!
-//! It has publishers and subscriptions found for this participant's ports (by the matcher, which it is given as a function), completes
+//! It calls the matcher (a function passed to it), which finds publishers and subscriptions for this participant's ports, completes
 //! rings that a killed process began, checks whether this process is to be traced, and reports if this participant's file was removed.
 
 use crate::error::TransportError;
@@ -17,7 +17,7 @@ use std::time::Duration;
 use tautline_doorbell::Doorbell;
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
 
-/// When it looks again though nobody calls it, if something was left to be done: each time later.
+/// The pauses before the next passes if work is left and nobody calls the janitor: each is longer than the one before.
 const AGAIN: [Duration; 5] = [
     Duration::from_millis(1),
     Duration::from_millis(10),
@@ -31,7 +31,7 @@ type Refresh = Box<dyn Fn() -> LookOutcome + Send + Sync>;
 
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct LookOutcome {
-    /// Something is left that only time can finish.
+    /// Work is left that can only be completed later.
     pub(crate) is_pending: bool,
     pub(crate) has_gone: bool,
 }
@@ -46,7 +46,7 @@ struct JanitorState {
     stop: AtomicBool,
 }
 
-/// What is done besides, each time that the janitor looks.
+/// A further function that the janitor calls in each pass.
 type Attendant = Box<dyn Fn() + Send + Sync>;
 
 /// Handle of the janitor thread; dropping it ends the thread and waits for it.
@@ -80,7 +80,7 @@ impl Janitor {
         Ok(Janitor { state, thread: Some(thread) })
     }
 
-    /// Has it do this, too, each time that it looks: the first one that is given.
+    /// Sets a further function that the janitor calls in each pass. Only the first call has an effect.
     pub(crate) fn attend(&self, attendant: Attendant) {
         let _ = self.state.attendant.set(attendant);
     }
@@ -107,20 +107,20 @@ fn run(state: &JanitorState) {
         }
         let looked = (state.refresh)();
         if looked.has_gone {
-            // Whoever was killed may have been about to ring.
+            // A killed process may have been about to ring.
             state.doorbell.arena().rescue();
         }
         let is_traced = tautline_trace::attend();
         if let Some(attend) = state.attendant.get() {
             attend();
         }
-        // Not by the end of this process.
+        // A removal because this process ends does not count.
         let is_removed = !has_stand_in && state.memory.is_removed() && !state.domain.has_left();
         if is_removed {
-            // So that the others notice when it dies.
+            // So that the other participants notice when this process dies.
             has_stand_in = state.memory.make_stand_in().is_ok();
             if !std::mem::replace(&mut is_said, true) {
-                say_that_it_was_removed(state.memory.path());
+                log_removal(state.memory.path());
             }
         }
         let is_pending = looked.is_pending || is_removed && !has_stand_in;
@@ -138,7 +138,7 @@ fn run(state: &JanitorState) {
     }
 }
 
-fn say_that_it_was_removed(path: &Path) {
+fn log_removal(path: &Path) {
     tracing::error!(
         "{} was removed while this process runs: processes that start from now on do not find it; restart it. If its user logged out, \
          systemd-logind did that: set RemoveIPC=no in /etc/systemd/logind.conf, or run it as a system user (docs/deployment.md)",

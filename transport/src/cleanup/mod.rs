@@ -3,7 +3,7 @@
 //!
 //! In: the kernel's report that a file was closed, and calls by other participants. Out: files of dead participants removed, calls to
 //! the janitors of the living. Each participant's [`janitor`] sleeps until it is called, and then does what is necessary for its
-//! ports. One participant's [`warden`] watches all others, and cleans up ([`dead_participant`]); those of the others watch this one.
+//! ports. One participant's [`warden`] watches all others, and cleans up ([`dead_participant`]); the others' wardens watch this one.
 //! Who may touch it: the participant starts and stops both; anybody may call a janitor, through the domain.
 
 pub(crate) mod dead_domains;

@@ -31,8 +31,8 @@ use tautline_rt::domain::shared_path;
 use tautline_rt::fork::ProcessFd;
 use tautline_rt::shm::{self, ShmError};
 
-/// A file that was closed is looked at at once and after each of these times: the kernel tells that a file is closed a moment before
-/// it frees the lock. Then it is some other process that has closed it.
+/// A file that was closed is checked at once and after each of these times: the kernel reports that a file is closed a moment before
+/// it frees the lock. If the lock is held even after the last one, another process than the owner has closed the file.
 const AGAIN: [Duration; 5] = [
     Duration::from_millis(1),
     Duration::from_millis(4),
@@ -40,9 +40,9 @@ const AGAIN: [Duration; 5] = [
     Duration::from_millis(16),
     Duration::from_millis(200),
 ];
-/// How often all are looked at if the kernel does not tell.
+/// How often all files are checked if the kernel does not report closed files.
 const PERIOD: Duration = Duration::from_millis(40);
-/// How often it is tried again to become the warden, or to look at a file, if the system refuses.
+/// The pause before the next attempt to become the warden, or to check a file, if the system refuses.
 const RETRY: Duration = Duration::from_secs(1);
 
 /// Handle of a participant's thread that is the warden or waits to become it; dropping it ends the thread and waits for it.
@@ -76,7 +76,7 @@ impl Drop for Warden {
     }
 }
 
-/// What came of the attempt to become the warden.
+/// The result of an attempt to become the warden.
 enum Election {
     Won(ActiveWarden),
     /// Another participant is the warden.
@@ -103,7 +103,7 @@ impl Candidate {
                 Ok(()) | Err(Errno::EXIST) => {}
                 Err(errno) => return Err(errno.into()),
             }
-            // Before the attempt to lock it: if that fails there is a warden, and this end hears when it goes.
+            // Opened before the attempt to lock it: if that fails, there is a warden, and this end is hung up when the warden dies.
             let pipe = rustix::fs::open(&path, flags(OFlags::RDONLY), Mode::empty())?;
             shm::check_owner(&pipe)?;
             if FileType::from_raw_mode(rustix::fs::fstat(&pipe)?.st_mode) != FileType::Fifo {
@@ -120,7 +120,7 @@ impl Candidate {
     /// Makes this participant the warden, if there is none.
     fn elect(&self) -> Result<Election, TransportError> {
         let refuse = |errno| file_error(refused(&self.path, errno));
-        // After this process's file, which is to be unlocked when who comes next looks; before what takes time to close.
+        // Closed after this process's file, which must be unlocked when the next warden checks it; before files that take long to close.
         let open = || {
             rustix::fs::open(&self.path, flags(OFlags::RDWR), Mode::empty())
                 .map(|pipe| shm::closed_early(pipe, 128))
@@ -146,19 +146,19 @@ impl Candidate {
             kept: BTreeSet::new(),
             look_all_ns: 0,
         };
-        // After it began to listen: what happens meanwhile is heard.
+        // After the watch was added, so that events during the cleanup are not missed.
         warden.clean_up_all(&self.domain, false);
         Ok(Election::Won(warden))
     }
 
-    /// Until it is stopped.
+    /// Runs until the thread is stopped.
     fn run(self, warden: Option<ActiveWarden>) {
         let (mut warden, mut is_said) = (warden, false);
         loop {
             match &mut warden {
                 Some(warden) => {
                     if self.is_stopped(warden.watch.as_ref(), warden.pause()) {
-                        // Nobody may come after this one.
+                        // There may be no next warden.
                         let is_last = self.domain.members().count() <= 1;
                         return warden.clean_up_all(&self.domain, is_last);
                     }
@@ -190,7 +190,7 @@ impl Candidate {
         }
     }
 
-    /// Sleeps until there is something at `file`, or `pause` is over, or it is to stop: then true.
+    /// Sleeps until there is an event at `file`, `pause` is over, or the thread is stopped. Returns whether it is stopped.
     fn is_stopped(&self, file: Option<&OwnedFd>, pause: Option<Duration>) -> bool {
         let pause = pause
             .map(|pause| Timespec { tv_sec: pause.as_secs() as i64, tv_nsec: pause.subsec_nanos().into() });
@@ -212,7 +212,7 @@ fn refused(path: &Path, errno: Errno) -> ShmError {
     ShmError { path: path.to_owned(), source: errno.into() }
 }
 
-/// Listens to what happens in the folder; `None` if the kernel refuses.
+/// Watches the folder by inotify; `None` if the kernel refuses.
 fn watch(folder: Option<&Path>) -> Option<OwnedFd> {
     let watched = inotify::init(CreateFlags::NONBLOCK | CreateFlags::CLOEXEC).and_then(|watch| {
         inotify::add_watch(
@@ -273,7 +273,7 @@ impl ActiveWarden {
         }
     }
 
-    /// How long there is nothing to do, unless something happens.
+    /// The time until the next check or cleanup; `None` if only an event makes one necessary.
     fn pause(&self) -> Option<Duration> {
         let next = self.suspects.values().map(|(due_ns, _)| *due_ns).min();
         let next = next.map(|due_ns| Duration::from_nanos(due_ns.saturating_sub(monotonic_ns())));
@@ -284,7 +284,7 @@ impl ActiveWarden {
         [next, look, look_all, clean_up].into_iter().flatten().min()
     }
 
-    /// Hears what has happened.
+    /// Reads the events of the watch, and suspects the files that were closed; without a watch, all files.
     fn listen(&mut self, domain: &Domain) {
         let Some(watch) = self.watch.take() else {
             if self.suspects.is_empty() {
@@ -305,7 +305,7 @@ impl ActiveWarden {
             }
             let Some(name) = event.file_name().and_then(|name| name.to_str().ok()) else { continue };
             if event.events().contains(ReadFlags::DELETE) {
-                // One whose file was removed, and not by this: it says so.
+                // A member's file was removed, but not by the warden: the member's janitor reports this.
                 let member = domain.members().find(|member| Some(member.id) == id_of(name));
                 member.inspect(|member| domain.call(member.place));
                 self.kept.remove(name);
@@ -327,9 +327,9 @@ impl ActiveWarden {
         let names: Vec<String> = self.suspects.iter().filter(due).map(|(name, _)| name.clone()).collect();
         for name in names {
             let looks = self.suspects.remove(&name).map_or(0, |(_, looks)| looks);
-            // How long until it is looked at again.
+            // The pause before the next check.
             let again = AGAIN.get(looks).copied();
-            let pause = match dead_participant::look_after(domain, &name) {
+            let pause = match dead_participant::check_file(domain, &name) {
                 Ok(FileState::Gone) => None,
                 Ok(FileState::Dead(dead)) => {
                     self.dead.push(dead);
@@ -341,7 +341,7 @@ impl ActiveWarden {
                 }
                 Ok(FileState::Owned) => again.filter(|_| self.watch.is_some()),
                 Err(error) if error.is_passing() => Some(again.unwrap_or(RETRY)),
-                // Another user's, or a folder: it stays.
+                // A file of another user, or a folder: it stays.
                 Err(_) => None,
             };
             if let Some(pause) = pause {

@@ -41,15 +41,15 @@ pub(crate) const NAME: &str = "domain";
 /// The pipe by which members know that there is a warden.
 pub(crate) const WARDEN: &str = "warden";
 
-/// Whether a file of the folder has an owner: all but the domain's own, which are their members' together.
+/// Whether a file of the domain's folder has one owner. The domain's file and the warden's pipe have none: all members share them.
 pub(crate) fn has_owner(name: &str) -> bool {
     name != WARDEN && name != NAME
 }
 
-/// How long a newcomer waits for the last member of before to remove its files.
+/// How long a joining participant waits for the domain's former last member to remove its files.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// Any bytes are one.
+/// The content of the domain's file. All bit patterns are valid values.
 #[repr(C)]
 struct Layout {
     magic: AtomicU64,
@@ -64,7 +64,7 @@ struct Layout {
 
 #[repr(C, align(64))]
 struct MemberSlot {
-    /// Its participant; 0: the entry is free.
+    /// The participant's id; 0: the entry is free.
     id: AtomicU64,
     generation: AtomicU64,
     /// Changes when the segments of samples of one of its publishers change.
@@ -72,7 +72,7 @@ struct MemberSlot {
     calls: FutexWord,
 }
 
-/// Whether there is such a domain, and the scope is one.
+/// Checks that the domain's number is in range and that the scope is valid.
 pub(crate) fn check_domain(domain: u32) -> Result<(), TransportError> {
     if domain > MAX_DOMAIN {
         return Err(TransportError::DomainRange { domain, max: MAX_DOMAIN });
@@ -81,7 +81,7 @@ pub(crate) fn check_domain(domain: u32) -> Result<(), TransportError> {
     Ok(())
 }
 
-/// The file, mapped, and its lock.
+/// The mapped file of a domain, and the shared lock of it.
 pub(crate) struct Domain {
     number: u32,
     file: ProcessFd,
@@ -90,7 +90,7 @@ pub(crate) struct Domain {
     process: ProcessMark,
 }
 
-/// A place of a member.
+/// A member's entry, as it was read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Seen {
     pub(crate) place: usize,
@@ -102,7 +102,7 @@ pub(crate) struct Seen {
 impl Domain {
     /// Joins the domain: makes its folder and its file if they are not there.
     pub(crate) fn join(number: u32) -> Result<Arc<Self>, TransportError> {
-        // A folder that was made for nothing is not to stay.
+        // A failed join leaves no empty folder behind.
         Self::make_and_join(number).inspect_err(|_| _ = rustix::fs::rmdir(shared_path(number)))
     }
 
@@ -128,7 +128,7 @@ impl Domain {
                     }
                     make(&path).map_err(refuse)?;
                 }
-                // Its last member removes it right now, unless that one was stopped.
+                // The last member is removing the domain right now, unless its process is stopped.
                 Opened::Leaving if patience.is_over() => {
                     return Err(refuse(io::Error::other(
                         "the last process of this domain is removing it and makes no progress: continue or kill it if it is stopped",
@@ -139,7 +139,7 @@ impl Domain {
         }
     }
 
-    /// The domain as it is, for who only looks: `None` if nobody is in it.
+    /// Opens the domain for a reader that does not join it; `None` if the domain has no members.
     pub(crate) fn visit(number: u32) -> Result<Option<Arc<Self>>, TransportError> {
         let path = shared_path(number).join(NAME);
         match Self::open(&path) {
@@ -194,17 +194,17 @@ impl Domain {
         layout(&self.map)
     }
 
-    /// Tells this domain from all others.
+    /// The random number that distinguishes this domain from all others.
     pub(crate) fn id(&self) -> u64 {
         self.layout().id.load(Ordering::Relaxed)
     }
 
     pub(crate) fn epoch(&self) -> u32 {
-        // Acquire: pairs with the Release in `advance`; what is listed after this shows that change.
+        // Acquire: pairs with the Release in `advance`; members and records that are read after this show that change.
         self.layout().epoch.0.load(Ordering::Acquire)
     }
 
-    /// Something changed.
+    /// Changes the epoch, and wakes all threads that wait for a change.
     pub(crate) fn advance(&self) {
         self.layout().epoch.0.fetch_add(1, Ordering::Release);
         self.layout().epoch.wake();
@@ -220,11 +220,11 @@ impl Domain {
         self.epoch()
     }
 
-    /// The members there are. At most as many as there ever were at once.
+    /// The current members. Reads at most as many entries as were ever in use at once.
     pub(crate) fn members(&self) -> impl Iterator<Item = Seen> + '_ {
         let end = (self.layout().end.load(Ordering::Acquire) as usize).min(MEMBERS);
         self.layout().members[..end].iter().enumerate().filter_map(|(place, member)| {
-            // Acquire: pairs with the Release of who took the place, and of who changed its record.
+            // Acquire: pairs with the Release in `add`, which took the entry, and in `changed` and `grew`.
             let id = member.id.load(Ordering::Acquire);
             let generation = member.generation.load(Ordering::Acquire);
             let grown = member.grown.load(Ordering::Acquire);
@@ -232,9 +232,9 @@ impl Domain {
         })
     }
 
-    /// Takes a place for a participant.
+    /// Takes an entry for a participant, and returns its index.
     pub(crate) fn add(&self, id: u64) -> Result<usize, TransportError> {
-        // Looked at before: places that are taken stay in everybody's cache.
+        // Loaded before the exchange, so that entries that are taken stay in the caches of all cores.
         let take = |member: &MemberSlot| {
             member.id.load(Ordering::Relaxed) == 0
                 && member.id.compare_exchange(0, id, Ordering::AcqRel, Ordering::Relaxed).is_ok()
@@ -246,7 +246,7 @@ impl Domain {
         Ok(place)
     }
 
-    /// Frees the place of a participant, if it has one. True if it had.
+    /// Frees the entry of a participant. Returns whether it had one.
     pub(crate) fn remove(&self, id: u64) -> bool {
         let free = |member: &MemberSlot| {
             member.id.load(Ordering::Relaxed) == id
@@ -259,7 +259,7 @@ impl Domain {
         removed
     }
 
-    /// The record of the member at `place` has changed.
+    /// Announces that the record of the member at `place` has changed.
     pub(crate) fn changed(&self, place: usize) {
         if let Some(member) = self.layout().members.get(place) {
             member.generation.fetch_add(1, Ordering::Release);
@@ -267,7 +267,7 @@ impl Domain {
         self.advance();
     }
 
-    /// One of the publishers of the member at `place` has other segments of samples than before.
+    /// Announces that a publisher of the member at `place` has added or removed a segment of samples.
     pub(crate) fn grew(&self, place: usize) {
         if let Some(member) = self.layout().members.get(place) {
             member.grown.fetch_add(1, Ordering::Release);
@@ -282,7 +282,7 @@ impl Domain {
         &self.layout().members[place].calls
     }
 
-    /// Asks the janitor at `place` to look around.
+    /// Wakes the janitor of the member at `place`.
     ///
     /// # Real-time
     /// Wait-free; one futex wake.
@@ -292,7 +292,7 @@ impl Domain {
         member.calls.wake();
     }
 
-    /// Asks all janitors.
+    /// Wakes the janitors of all members.
     pub(crate) fn call_all(&self) {
         self.members().for_each(|member| self.call(member.place));
     }
@@ -302,13 +302,13 @@ impl Domain {
         !shm::has_name(&self.file)
     }
 
-    /// Refuses what only the process that joined may do.
+    /// Returns an error in a forked child of the process that joined.
     pub(crate) fn check_process(&self) -> Result<(), TransportError> {
         if self.process.is_here() { Ok(()) } else { Err(TransportError::Forked { domain: self.number }) }
     }
 
-    /// This process is none of its members any more, or ends right now. The last one removes the domain's files and its folder. Traces
-    /// of killed processes stay for a recorder. A forked child was none of them.
+    /// Leaves the domain: this process is no longer a member, or ends right now. The last member removes the domain's files and its folder.
+    /// Traces of killed processes stay for a recorder. Does nothing in a forked child, which was not a member.
     pub(crate) fn leave(&self) {
         if !self.process.is_here() {
             return;
@@ -325,15 +325,15 @@ impl Domain {
         remove_files(&shared_folder(self.number));
     }
 
-    /// Whether it was left, by a process that ends.
+    /// Whether this process has left the domain because it ends.
     pub(crate) fn has_left(&self) -> bool {
         *self.has_left.lock()
     }
 }
 
-/// Removes what is left of a domain by its last member, who has its file locked alone. Traces of killed processes stay for a recorder.
+/// Removes the files of a domain. The caller holds the exclusive lock of its file. Traces of killed processes stay for a recorder.
 fn remove_files(folder: &str) {
-    // A participant's is of one that was killed when nobody looked after it any more, or of a process that ends right now.
+    // A participant's file belongs to one that was killed when there was no warden any more, or to a process that ends right now.
     for file in shm::list(&format!("{folder}/")).unwrap_or_default() {
         let name = file.file_name().and_then(|name| name.to_str()).unwrap_or_default();
         if id_of(name).is_some() {
@@ -351,7 +351,7 @@ fn remove_files(folder: &str) {
     let _ = rustix::fs::rmdir(folder);
 }
 
-/// The domain's file, locked alone, if all processes of the domain were killed. What another user owns or another version wrote is not it.
+/// The domain's file, exclusively locked, if all processes of the domain were killed; `None` for another user's or version's file.
 fn lock_dead(folder: &str) -> Option<shm::PeerFile> {
     let file = shm::PeerFile::open(Path::new(shm::DIRECTORY).join(folder).join(NAME), false).ok()?;
     let mut magic = [0; 8];
@@ -365,10 +365,10 @@ pub fn is_dead_domain(folder: &str) -> bool {
     lock_dead(folder).is_some()
 }
 
-/// Removes the files of such a domain: all that its last member would have removed. Traces that nobody has fetched stay. Returns whether
-/// it was one.
+/// Removes the files of a dead domain: all that its last member would have removed. Traces that nobody has fetched stay. Returns
+/// whether the domain was dead.
 pub fn remove_dead_domain(folder: &str) -> bool {
-    // Who joins meanwhile waits for the lock, and finds then that the file has no name.
+    // A process that joins meanwhile waits for the lock, and then finds that the file has no name.
     let locked = lock_dead(folder);
     if locked.is_some() {
         tautline_trace::remove_dead_files_in(folder);
@@ -384,21 +384,21 @@ impl Drop for Domain {
 }
 
 fn layout(map: &Mapping) -> &Layout {
-    // SAFETY: callers give a mapping of a whole Layout at the start of a page, of a file that is at least as long; any bytes are one.
+    // SAFETY: callers pass a mapping of a whole Layout at the start of a page, of a file that is at least as long; any bytes are valid.
     unsafe { map.start().cast().as_ref() }
 }
 
 enum Opened {
-    /// And locked.
+    /// The file is valid, and locked.
     Whole(ProcessFd, Mapping),
-    /// It is of another version.
+    /// The file is of another version.
     Other,
     Missing,
-    /// It is being removed.
+    /// The file is being removed.
     Leaving,
 }
 
-/// Makes the file: whole, or not at all.
+/// Creates the file atomically: complete, or not at all.
 fn make(path: &Path) -> io::Result<()> {
     let Some(folder) = path.parent() else { return Ok(()) };
     let file = match rustix::fs::open(
@@ -406,7 +406,7 @@ fn make(path: &Path) -> io::Result<()> {
         OFlags::TMPFILE | OFlags::RDWR | OFlags::CLOEXEC,
         Mode::RUSR | Mode::WUSR,
     ) {
-        // The last one of before removes the folder right now.
+        // The domain's former last member removes the folder right now.
         Err(Errno::NOENT) => return Ok(()),
         file => file?,
     };
@@ -416,7 +416,7 @@ fn make(path: &Path) -> io::Result<()> {
     let unnamed = format!("/proc/self/fd/{}", std::os::fd::AsRawFd::as_raw_fd(&file));
     let here = rustix::fs::CWD;
     match rustix::fs::linkat(here, unnamed.as_str(), here, path, AtFlags::SYMLINK_FOLLOW) {
-        // Somebody else was faster, or the folder has gone.
+        // Another process was faster, or the folder was removed.
         Ok(()) | Err(Errno::EXIST | Errno::NOENT) => Ok(()),
         Err(errno) => Err(errno.into()),
     }

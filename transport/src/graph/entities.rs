@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What exists in a domain, as it is told to others: nodes, the endpoints of topics and services, deaths, and all of it together.
+//! The entities of a domain, as the public interface reports them: nodes, endpoints of topics and services, deaths, and a snapshot.
 
 use crate::graph::origin::{Origin, Rank};
 use crate::graph::topic_type::TopicType;

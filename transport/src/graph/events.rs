@@ -68,7 +68,7 @@ impl Drop for GraphWatcher {
         // Release: pairs with the Acquire of the thread and of the listeners.
         self.listeners.stop.store(true, Ordering::Release);
         if let Some(thread) = self.thread.get_mut().unwrap_or_else(PoisonError::into_inner).take() {
-            // A change that is none: the thread cannot be between its look at `stop` and its sleep for ever.
+            // Changes the epoch only to wake the thread, which may be between its check of `stop` and its sleep.
             self.domain.advance();
             let _ = thread.join();
         }
@@ -100,7 +100,7 @@ impl Stream for GraphEvents {
     type Item = ();
 
     fn poll_next(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<()>> {
-        // Before looking: a change after this wakes the task.
+        // Registered before the epoch is read: a change after this wakes the task.
         self.listener.waker.register(cx.waker());
         let epoch = self.domain.epoch();
         if epoch != self.seen {

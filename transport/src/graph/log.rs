@@ -83,7 +83,7 @@ impl LogEntry {
         bytes
     }
 
-    /// The first entry of `bytes`, unless its kind is not known, and how long it is. `None`: it is no entry.
+    /// The first entry of `bytes` (`None` if its kind is not known), and its length. `None`: the bytes are not an entry.
     fn decode(bytes: &[u8]) -> Option<(Option<LogEntry>, usize)> {
         let word = |at: usize| Some(u64::from_ne_bytes(bytes.get(at..at + 8)?.try_into().ok()?));
         let first = word(0)?.to_ne_bytes();
@@ -144,7 +144,7 @@ impl Log {
         number
     }
 
-    /// Adds an entry whose number is none before it.
+    /// Adds an entry, whose number no entry had before.
     ///
     /// # Errors
     /// There is no memory for it: then nothing has changed.
@@ -158,14 +158,14 @@ impl Log {
         })
     }
 
-    /// Takes an entry back. If there is no memory to say so others see it until the next change that there is memory for.
+    /// Removes an entry. If there is no memory to record this, readers see the entry until the next change for which there is memory.
     pub(crate) fn remove(&mut self, number: u64) -> io::Result<()> {
         let Some(bytes) = self.live.remove(&number) else { return Ok(()) };
         self.live_bytes -= bytes.len();
         self.append(&LogEntry { kind: EntryKind::Gone, number, hash: 0, body: Vec::new() }.encode())
     }
 
-    /// Makes the entry of a port that of one that has ended. As [`remove`](Self::remove) without memory.
+    /// Turns the entry of a port into that of an ended one. If there is no memory, readers see this later: see [`remove`](Self::remove).
     pub(crate) fn end(&mut self, number: u64) -> io::Result<()> {
         let Some(entry) = self.live.get_mut(&number) else { return Ok(()) };
         entry[4..8].copy_from_slice(&(EntryKind::Ended as u32).to_ne_bytes());
@@ -173,12 +173,12 @@ impl Log {
         self.append(&bytes)
     }
 
-    /// Whether it says anything under this number.
+    /// Whether there is a valid entry with this number.
     pub(crate) fn has(&self, number: u64) -> bool {
         self.live.contains_key(&number)
     }
 
-    /// How many entries that count are of this kind and have this hash.
+    /// The number of valid entries of this kind with this hash.
     pub(crate) fn count(&self, kind: EntryKind, hash: u64) -> usize {
         let is_one = |bytes: &&Vec<u8>| {
             bytes[4..8] == (kind as u32).to_ne_bytes() && bytes[16..HEAD_BYTES] == hash.to_ne_bytes()
@@ -196,7 +196,7 @@ impl Log {
         }
     }
 
-    /// Writes the entries that count into a new part, twice as long as needed.
+    /// Writes the valid entries into a new part, twice as long as needed.
     fn rewrite(&mut self) -> io::Result<()> {
         let len = (2 * (PREFACE_BYTES + self.live_bytes) as u64).next_multiple_of(self.memory.page_bytes());
         if len > MAX_BYTES {
@@ -212,7 +212,7 @@ impl Log {
         let place = PackedRange::to_word(range);
         let entries = self.live.values().map(Vec::as_slice);
         self.used = Part::of(&part).publish(&self.memory.head().record, place, self.turn, entries);
-        // Who still reads the former part looks at the head afterwards; by the next time it has done so.
+        // A reader of the former part checks the head afterwards, and has done so by the next rewrite, which releases the part.
         let former = self.part.replace((range, part)).map(|(range, _)| range);
         if let Some(released) = std::mem::replace(&mut self.former, former) {
             self.memory.release(released);
@@ -231,28 +231,28 @@ pub(crate) struct Reader {
     position: usize,
 }
 
-/// What a reader has not read before.
+/// The entries that a reader has not read before.
 #[derive(Debug, Default)]
 pub(crate) struct LogUpdate {
-    /// The record was written anew: what was known of it before counts no more.
+    /// The record was rewritten: entries that were read before are no longer valid.
     pub(crate) anew: bool,
-    /// Each with its position in the record, by which [`Reader::entry`] finds it as long as it is not written anew.
+    /// Each with its position in the record, at which [`Reader::entry`] finds it until the record is rewritten.
     pub(crate) entries: Vec<(LogEntry, usize)>,
     /// The record is damaged from here on.
     pub(crate) is_damaged: bool,
 }
 
 impl Reader {
-    /// Reads what is new; nothing if the participant's file has gone.
+    /// Reads the new entries; none if the participant's file was removed.
     ///
     /// # Errors
-    /// Those of [`Peer::map`], or its owner writes it anew without a pause: nothing has been read then.
+    /// Those of [`Peer::map`], or the owner rewrites the record without a pause: then nothing has been read.
     pub(crate) fn read(&mut self, peer: &Peer) -> Result<LogUpdate, TransportError> {
         let mut update = LogUpdate::default();
-        // It is written anew when it has doubled: seldom, and not for ever.
+        // The record is rewritten when its length has doubled: seldom, and not for ever.
         for attempt in 0..1000 {
             if attempt > 8 {
-                // Not always at the same moment as its owner.
+                // Shifts the next attempt relative to the owner's rewrites.
                 std::thread::yield_now();
             }
             let place = peer.head().record.load(Ordering::Acquire);
@@ -284,22 +284,22 @@ impl Reader {
             self.position = position + at;
             return Ok(update);
         }
-        // Its owner was faster each time. The next look begins anew.
+        // The owner was faster each time. The next read begins with the first entry.
         *self = Reader::default();
         Err(TransportError::File { path: peer.path().to_owned(), source: Errno::AGAIN.into() })
     }
 
-    /// The entry at a position that `read` gave. `None`: the record was written anew meanwhile, or is damaged.
+    /// The entry at a position that `read` returned. `None`: the record was rewritten meanwhile, or is damaged.
     pub(crate) fn entry(&self, head: &ParticipantHeader, position: usize) -> Option<LogEntry> {
-        // Not where nothing lies any more: that would take memory.
+        // A part that the record has left is not read: that would allocate memory for its pages.
         if head.record.load(Ordering::Acquire) != self.place {
             return None;
         }
         LogEntry::decode(&self.bytes(head, Some(position))??)?.0
     }
 
-    /// A copy of what is valid, from where was read last, or of one entry. `None`: the record was written anew meanwhile; `Some(None)`:
-    /// it is damaged.
+    /// A copy of the valid bytes from this reader's position on, or of one entry. `None`: the record was rewritten meanwhile;
+    /// `Some(None)`: it is damaged.
     fn bytes(&self, head: &ParticipantHeader, entry: Option<usize>) -> Option<Option<Vec<u8>>> {
         let part = Part::of(self.part.as_ref()?);
         part.read(&head.record, (self.place, self.turn), |part| match entry {

@@ -28,21 +28,21 @@ impl<'p> Part<'p> {
         Part { valid: &words[0], turn: &words[1], words: &words[PREFACE_BYTES / 8..] }
     }
 
-    /// Which turn lies in it, or soon will.
+    /// The turn of the record that lies in this part, or soon will.
     pub(super) fn turn(self) -> u64 {
         // Acquire: pairs with the Release in `publish`; what is copied after this is not of a former turn.
         self.turn.load(Ordering::Acquire)
     }
 
-    /// The owner: adds an entry behind `used` bytes; returns how many are used then.
+    /// Appends an entry after `used` bytes; returns how many bytes are used then. For the owner.
     pub(super) fn append(self, used: usize, entry: &[u8]) -> usize {
         let used = self.write(used, entry);
-        // Release: pairs with the Acquire in `copy_from`; what is valid has been written.
+        // Release: pairs with the Acquire in `valid`; what is valid has been written.
         self.valid.store(used as u64, Ordering::Release);
         used
     }
 
-    /// The owner: fills a part that the record does not lie in, and moves the record there; returns how many bytes are used.
+    /// Fills a part that the record does not lie in, and moves the record there; returns how many bytes are used. For the owner.
     pub(super) fn publish<'e>(
         self,
         record: &AtomicU64,
@@ -52,11 +52,11 @@ impl<'p> Part<'p> {
     ) -> usize {
         let used = entries.fold(0, |used, entry| self.write(used, entry));
         self.valid.store(used as u64, Ordering::Relaxed);
-        // Release: pairs with the Acquire in `turn`; who sees this turn sees no entry of a former one.
+        // Release: pairs with the Acquire in `turn`; a reader that sees this turn sees no entry of a former one.
         self.turn.store(turn, Ordering::Release);
         // Release: pairs with the Acquires of readers; the part is whole, and its turn is this one.
         record.store(place, Ordering::Release);
-        // What is written into the former part from here on comes after this: pairs with the fence in `read`.
+        // Later writes into the former part come after this store: pairs with the fence in `read`.
         fence(Ordering::SeqCst);
         used
     }
@@ -68,7 +68,7 @@ impl<'p> Part<'p> {
         at + bytes.len()
     }
 
-    /// What `copy` gives, if the record lay in this part meanwhile, in this place and turn; else it may be anything.
+    /// The result of `copy`, if the record lay in this part, at this place and turn, until the copy was complete; otherwise `None`.
     pub(super) fn read<T>(
         self,
         record: &AtomicU64,
@@ -76,20 +76,20 @@ impl<'p> Part<'p> {
         copy: impl FnOnce(Self) -> T,
     ) -> Option<T> {
         let copied = copy(self);
-        // Who has copied what was written after the record had moved sees below that it has moved.
+        // A reader that has copied bytes written after the record had moved sees below that it has moved.
         fence(Ordering::Acquire);
         // Acquire: pairs with the Release in `publish`. If the record has come back to this place, its turn is seen, too.
         let is_there = record.load(Ordering::Acquire) == place && self.turn() == turn;
         is_there.then_some(copied)
     }
 
-    /// What is valid from a position on. `None`: it is damaged.
+    /// A copy of the valid bytes from a position on. `None`: the part is damaged.
     pub(super) fn copy_from(self, position: usize) -> Option<Vec<u8>> {
         let valid = self.valid()?;
         self.copy(position, valid)
     }
 
-    /// The entry at a position, as long as it says. `None`: it is damaged.
+    /// A copy of the entry at a position, of the length that it states. `None`: the part is damaged.
     pub(super) fn copy_entry(self, position: usize) -> Option<Vec<u8>> {
         let valid = self.valid()?;
         let len = self.words.get(position / 8)?.load(Ordering::Relaxed) as u32 as usize;

@@ -4,7 +4,7 @@
 //! In: the nodes and ports that this participant writes to its [record](own). Out: the participants ([`domain`]), their records, read
 //! from the last position on ([`log`], [`record`]), and the whole graph ([`model`]). Reading opens no topic, occupies nothing and waits
 //! for no process. A gateway announces the entities of other hosts in its record ([`remote`], [`origin`]).
-//! Who may touch it: each process writes its own record alone; the domain's file is its members'. No thread that publishes or takes.
+//! Who may touch it: each process writes only its own record; all members write the domain's file. No thread that publishes or takes.
 
 pub(crate) mod domain;
 pub(crate) mod entities;

@@ -19,10 +19,10 @@ use std::io::ErrorKind::WouldBlock;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Who looks without being a participant.
+/// The `own` id of a reader that is not a participant.
 pub(crate) const VISITOR: u64 = 0;
 
-/// How long, and of how many publishers, it is known that they have ended.
+/// How long, and for how many publishers, their normal end is remembered.
 const ENDED_TIME: Duration = Duration::from_secs(10);
 const MOST_ENDED: usize = 4096;
 
@@ -32,7 +32,7 @@ pub(crate) struct Model {
     /// The participant that reads the graph, and whether it announces remote endpoints itself.
     own: u64,
     is_teller: bool,
-    /// The domain's when `snapshot` was made.
+    /// The domain's epoch when `snapshot` was made.
     pub(crate) epoch: Option<u32>,
     members: HashMap<u64, ParticipantRecord>,
     /// The listed entries, in order; the last part of a key names the source.
@@ -43,14 +43,14 @@ pub(crate) struct Model {
     told: HashMap<u64, Vec<(Rank, Gid)>>,
     /// Tags of publishers that ended normally, and since when this is known.
     ended: VecDeque<(Instant, u64)>,
-    /// Processes that ended without ending what they had, if this is a visitor's.
+    /// Processes that ended without ending their endpoints and nodes; recorded only for a visitor.
     pub(crate) deaths: Vec<Death>,
     snapshot: Arc<GraphSnapshot>,
 }
 
 /// The content of a participant's record.
 struct ParticipantRecord {
-    /// `None`: it is skipped.
+    /// `None`: the record is skipped.
     peer: Option<Peer>,
     generation: u64,
     reader: Reader,
@@ -79,7 +79,7 @@ impl ParticipantRecord {
         self.peer.as_ref().map(Peer::pid).filter(|_| !self.is_relay)
     }
 
-    /// Everything that it says.
+    /// The numbers of all its entries.
     fn numbers(&self) -> Vec<u64> {
         let services = self.remote_services.keys();
         self.nodes
@@ -119,7 +119,7 @@ impl ParticipantRecord {
         self.nodes.get(&number).map(|node| &node.name)
     }
 
-    /// How what it says under `number` is listed.
+    /// The node or endpoint of the entry `number`, as the graph lists it; `None` if it is not listed.
     fn listed(&self, own: u64, id: u64, number: u64) -> Option<Listed> {
         if let Some(NodeRecord { name, enclave, origin }) = self.nodes.get(&number) {
             let (name, enclave) = (name.clone(), enclave.clone());
@@ -138,7 +138,7 @@ impl ParticipantRecord {
             let (gid, kind) = (Gid::of(id, number), port.kind);
             let node = port.node.and_then(|node| self.nodes.get(&node)).map(|node| node.name.clone());
             if let Some(service) = service_of(&port.topic) {
-                // Who publishes requests asks.
+                // The publisher of requests is the client.
                 let kind = match kind {
                     EndpointKind::Publisher => ServiceKind::Client,
                     EndpointKind::Subscription => ServiceKind::Server,
@@ -200,7 +200,7 @@ fn here(gid: Gid) -> Origin {
     Origin { tag: gid.tag(), ..Origin::default() }
 }
 
-fn complain(error: &TransportError) {
+fn log_skipped(error: &TransportError) {
     tracing::warn!("a participant is left out of the graph: {error} (logged once)");
 }
 
@@ -210,7 +210,7 @@ impl Model {
     }
 
     pub(crate) fn refresh(&mut self, domain: &Domain) -> Result<Arc<GraphSnapshot>, TransportError> {
-        // Before the look: what changes after this is seen by the next one.
+        // Read before the records: the next refresh sees what changes after this.
         let epoch = domain.epoch();
         if self.epoch == Some(epoch) {
             return Ok(self.snapshot.clone());
@@ -220,7 +220,7 @@ impl Model {
         let gone: Vec<u64> = self.members.keys().filter(|id| !there.contains(id)).copied().collect();
         for id in gone {
             if let Some(mut member) = self.members.remove(&id) {
-                self.hear_last(id, &mut member);
+                self.read_last_entries(id, &mut member);
                 self.note_death(id, &mut member);
                 self.unlist(id, &member);
             }
@@ -229,7 +229,7 @@ impl Model {
         for member in seen {
             if self.members.get(&member.id).is_none_or(|known| known.generation != member.generation) {
                 match self.update(domain.number(), member.id, member.generation) {
-                    // It changes all the time: what was known of it is listed, and the next look reads on.
+                    // The record changes all the time: the entries read before are listed, and the next refresh reads it again.
                     Err(TransportError::File { source, .. }) if source.kind() == WouldBlock => {
                         is_behind = true
                     }
@@ -237,11 +237,11 @@ impl Model {
                 }
             }
         }
-        let nodes = self.nodes.iter().filter(|(node, gid)| self.counts(node.teller, &node.origin, *gid));
+        let nodes = self.nodes.iter().filter(|(node, gid)| self.is_used(node.teller, &node.origin, *gid));
         let endpoints = self.endpoints.iter();
-        let endpoints = endpoints.filter(|((.., gid), end)| self.counts(end.teller, &end.origin, *gid));
+        let endpoints = endpoints.filter(|((.., gid), end)| self.is_used(end.teller, &end.origin, *gid));
         let services = self.services.iter();
-        let services = services.filter(|((.., gid), end)| self.counts(end.teller, &end.origin, *gid));
+        let services = services.filter(|((.., gid), end)| self.is_used(end.teller, &end.origin, *gid));
         self.snapshot = Arc::new(GraphSnapshot {
             nodes: nodes.map(|(node, _)| node.clone()).collect(),
             endpoints: endpoints.map(|(_, end)| end.clone()).collect(),
@@ -253,17 +253,17 @@ impl Model {
         Ok(self.snapshot.clone())
     }
 
-    /// Where the memory of a publisher of this host lies.
+    /// The position of the memory of a publisher of this host.
     pub(crate) fn memory_of(&self, publisher: Gid) -> Option<(&Peer, Range)> {
         let member = self.members.get(&publisher.participant())?;
         let port = member.ports.get(&publisher.number()).filter(|port| port.kind == PortKind::Publisher)?;
         Some((member.peer.as_ref()?, PackedRange::from_word(port.at)?))
     }
 
-    /// Leaves out who has died and was not cleaned up after: nobody else may be there to do that.
+    /// Removes participants that have died and were not cleaned up after: there may be no other process to do that.
     pub(crate) fn forget_dead(&mut self, domain: &Domain) {
         let dead: Vec<u64> =
-            self.members.keys().filter(|id| !Peer::lives(domain.number(), **id)).copied().collect();
+            self.members.keys().filter(|id| !Peer::is_alive(domain.number(), **id)).copied().collect();
         for id in dead {
             if let Some(mut member) = self.members.remove(&id) {
                 self.note_death(id, &mut member);
@@ -273,13 +273,13 @@ impl Model {
         }
     }
 
-    /// Whether it is here, or of those that tell of it this is the best.
-    fn counts(&self, teller: Option<u64>, origin: &Origin, gid: Gid) -> bool {
+    /// Whether the entity is local, or this is the best of the participants that announce it.
+    fn is_used(&self, teller: Option<u64>, origin: &Origin, gid: Gid) -> bool {
         let best = self.told.get(&origin.tag).and_then(|tellers| tellers.first());
         teller.is_none() || best.is_none_or(|(_, best)| *best == gid)
     }
 
-    /// Only for who tells others of it.
+    /// Records the normal end of a publisher, if this participant announces remote endpoints.
     fn note_ended(&mut self, tag: u64) {
         if self.is_teller {
             let now = Instant::now();
@@ -291,10 +291,10 @@ impl Model {
         }
     }
 
-    /// A participant has gone, and may have said before that its publishers have ended.
-    fn hear_last(&mut self, id: u64, member: &mut ParticipantRecord) {
+    /// Reads the last entries of a participant that has left: they may contain the normal end of its publishers.
+    fn read_last_entries(&mut self, id: u64, member: &mut ParticipantRecord) {
         let Some(peer) = member.peer.as_ref().filter(|_| self.is_teller) else { return };
-        // What is damaged says of nobody that it has ended.
+        // A damaged record does not end anything.
         let Some(update) = member.reader.read(peer).ok().filter(|update| !update.is_damaged) else { return };
         let of_kind = |is_it: fn(EntryKind) -> bool| {
             let entries = update.entries.iter().filter(move |(entry, _)| is_it(entry.kind));
@@ -309,12 +309,12 @@ impl Model {
         }
     }
 
-    /// A participant has gone. Whoever ends by himself says so of all that he has before.
+    /// Records the death of a participant that has left: one that ends normally removes all its entries before.
     fn note_death(&mut self, id: u64, member: &mut ParticipantRecord) {
         if self.own != VISITOR {
             return;
         }
-        // What was read before counts if the last of it cannot be.
+        // If the last entries cannot be read, those that were read before are used.
         let _ = self.read(id, member);
         let has_ports = member.ports.values().any(|port| !port.observer);
         if let Some(peer) = member.peer.as_ref().filter(|_| has_ports || !member.nodes.is_empty())
@@ -326,14 +326,14 @@ impl Model {
         }
     }
 
-    /// A participant says that what it has under a number is no more: if that is a topic's publisher, it has ended.
+    /// Handles that a participant has removed or ended the port `number`: if it is a topic's publisher, it ended normally.
     fn note_gone(&mut self, id: u64, is_relay: bool, number: u64, port: &PortRecord) {
         if port.kind == PortKind::Publisher && !is_relay && !is_of_service(&port.topic) {
             self.note_ended(Gid::of(id, number).tag());
         }
     }
 
-    /// What others tell of, if this one does so too.
+    /// The least rank of each tag among the other announcers; empty if this participant announces nothing.
     fn rivals(&self) -> HashMap<u64, Rank> {
         if !self.is_teller {
             return HashMap::new();
@@ -345,19 +345,19 @@ impl Model {
         self.told.iter().filter_map(of_others).collect()
     }
 
-    /// Reads what is new in the record of a participant.
+    /// Reads the new entries of a participant's record.
     fn update(&mut self, domain: u32, id: u64, generation: u64) -> Result<(), TransportError> {
         let known = self.members.remove(&id);
         let mut member = match known {
             Some(member) => member,
-            None if self.own == VISITOR && !Peer::lives(domain, id) => return Ok(()),
+            None if self.own == VISITOR && !Peer::is_alive(domain, id) => return Ok(()),
             None => match Peer::open(domain, id) {
                 Ok(Some(peer)) => ParticipantRecord::new(Some(peer)),
-                // Its end is on the way.
+                // Its file was removed: the participant is ending.
                 Ok(None) => return Ok(()),
                 Err(error) if error.is_passing() => return Err(error),
                 Err(error) => {
-                    complain(&error);
+                    log_skipped(&error);
                     ParticipantRecord::new(None)
                 }
             },
@@ -397,7 +397,7 @@ impl Model {
                     member.is_relay = true;
                     member.numbers().into_iter().for_each(|number| self.change(id, member, number, true));
                 }
-                // Not what this one itself says.
+                // This participant's own announcement.
                 EntryKind::RemoteEnded if id == self.own => {}
                 EntryKind::RemoteEnded => self.note_ended(entry.hash),
                 _ => {
@@ -407,7 +407,7 @@ impl Model {
                 }
             }
         }
-        // What was there before the record was written anew, and is no longer.
+        // Ports that the record had before it was rewritten, and no longer has.
         for (number, port) in former {
             if !update.is_damaged && !member.ports.contains_key(&number) {
                 self.note_gone(id, member.is_relay, number, &port);
@@ -416,7 +416,7 @@ impl Model {
         if update.is_damaged
             && let Some(peer) = member.peer.take()
         {
-            complain(&TransportError::Damaged { path: peer.path().to_owned() });
+            log_skipped(&TransportError::Damaged { path: peer.path().to_owned() });
             self.unlist(id, member);
             *member = ParticipantRecord::new(None);
         }
@@ -427,7 +427,7 @@ impl Model {
         member.numbers().into_iter().for_each(|number| self.change(id, member, number, false));
     }
 
-    /// Lists what a participant says under a number, or takes it from the list.
+    /// Adds the entity of a participant's entry to the lists, or removes it from them.
     fn change(&mut self, id: u64, member: &ParticipantRecord, number: u64, is_listed: bool) {
         let gid = Gid::of(id, number);
         let listed = member.listed(self.own, id, number);
@@ -435,7 +435,7 @@ impl Model {
             && origin.tag != 0
         {
             let told = (origin.rank(teller.into()), gid);
-            // One almost always: no room for more is kept.
+            // Almost always one announcer: no capacity for more is reserved.
             let tellers = self.told.entry(origin.tag).or_insert_with(|| Vec::with_capacity(1));
             match (tellers.binary_search(&told), is_listed) {
                 (Err(place), true) => tellers.insert(place, told),

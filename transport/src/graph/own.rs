@@ -29,7 +29,7 @@ struct OwnRecordState {
     remote: Remote,
 }
 
-/// What was announced of other hosts: the entries, by their topics' hashes and content.
+/// The announced entities of other hosts: the numbers of their entries, by topic hash and content.
 #[derive(Default)]
 struct Remote {
     marker: Option<u64>,
@@ -37,7 +37,7 @@ struct Remote {
     entries: RemoteEntries,
 }
 
-/// The entries of nodes: two may have one name.
+/// The numbers of the entries of nodes: two nodes may have the same name.
 type RemoteNodes = BTreeMap<RemoteNode, Vec<u64>>;
 
 type RemoteEntries = HashMap<(EntryKind, u64, Vec<u8>), Vec<u64>>;
@@ -49,7 +49,7 @@ impl OwnRecord {
         Arc::new(OwnRecord { domain, memory, place: OnceLock::new(), state: PiMutex::new(state) })
     }
 
-    /// The record is the member's at `place`.
+    /// Publishes the record as that of the member at `place`.
     pub(crate) fn publish(&self, place: usize) {
         let _ = self.place.set(place);
         self.changed();
@@ -59,7 +59,7 @@ impl OwnRecord {
         self.place.get().copied()
     }
 
-    /// Its lock is taken while things are set up and when they end, never by publish or take.
+    /// Locks the state. The lock is taken by set-up and tear-down, never by publish or take.
     fn state(&self) -> PiGuard<'_, OwnRecordState> {
         self.state.lock()
     }
@@ -70,7 +70,7 @@ impl OwnRecord {
         }
     }
 
-    /// A publisher has other segments of samples than before.
+    /// Announces that a publisher has added or removed a segment of samples.
     pub(crate) fn grew(&self) {
         if let Some(place) = self.place.get() {
             self.domain.grew(*place);
@@ -82,7 +82,7 @@ impl OwnRecord {
         move |source| TransportError::File { path: path.clone(), source }
     }
 
-    /// A number for a port, which is part of its gid. It is known to nobody yet.
+    /// A number for a new port, which is part of its gid. Other processes do not see the port yet.
     pub(crate) fn number(&self) -> u64 {
         self.state().log.number()
     }
@@ -96,17 +96,17 @@ impl OwnRecord {
         Ok(())
     }
 
-    /// Takes an entry back. Nobody can be told if that fails.
+    /// Removes an entry. A failure is logged.
     pub(crate) fn remove(&self, number: u64) {
         self.take_back(|log| log.remove(number));
     }
 
-    /// The publisher with this number has ended; what it sent is still to be found. As [`remove`](Self::remove).
+    /// Marks the publisher with this number as ended; its samples can still be found. A failure is logged, as by [`remove`](Self::remove).
     pub(crate) fn end(&self, number: u64) {
         self.take_back(|log| log.end(number));
     }
 
-    /// Nothing is left of what had ended, if the record says that it has.
+    /// Removes the entry of an ended publisher, whose samples are no longer needed, if the record has it.
     pub(crate) fn forget(&self, number: u64) {
         let is_said = self.state().log.has(number);
         if is_said {
@@ -149,18 +149,18 @@ impl OwnRecord {
         Ok(Arc::new(NodeEntry { record, number, node, has_ended, slots }))
     }
 
-    /// How many nodes it has whose name has this hash.
+    /// The number of nodes in the record whose name has this hash.
     pub(crate) fn nodes(&self, hash: u64) -> usize {
         self.state().log.count(EntryKind::Node, hash)
     }
 
-    /// Whether it says, or said, what other hosts have.
+    /// Whether this participant announces, or has announced, entities of other hosts.
     pub(crate) fn is_relay(&self) -> bool {
         self.state().remote.marker.is_some()
     }
 
-    /// Replaces what other hosts have: what is said already stays as it is. Adds the hashes of the topics that this concerns to
-    /// `topics`.
+    /// Replaces the announced entities of other hosts; entries that are there already stay as they are. Adds the hashes of the topics
+    /// that have changed to `topics`.
     pub(crate) fn set_remote(
         &self,
         remote: &RemoteGraph,
@@ -169,7 +169,7 @@ impl OwnRecord {
         let mut state = self.state();
         let changed = state.set_remote(remote, topics).map_err(self.failed());
         drop(state);
-        // Not otherwise: who looks again after each change would look for ever.
+        // Only then: a relay that calls this after each change of the graph would otherwise never stop.
         if *changed.as_ref().unwrap_or(&true) {
             self.changed();
         }
@@ -184,7 +184,7 @@ impl OwnRecordState {
         Ok(number)
     }
 
-    /// Whether anything is otherwise now.
+    /// Replaces the announced entities; returns whether anything has changed.
     fn set_remote(&mut self, remote: &RemoteGraph, topics: &mut BTreeSet<u64>) -> io::Result<bool> {
         let mut changed = false;
         if self.remote.marker.is_none() {
@@ -192,8 +192,8 @@ impl OwnRecordState {
             changed = true;
         }
         let mut former = (std::mem::take(&mut self.remote.nodes), std::mem::take(&mut self.remote.entries));
-        let said = self.say_remote(remote, topics, &mut former);
-        // What is still in the record though it was to go: the next call takes it back.
+        let said = self.write_remote(remote, topics, &mut former);
+        // Entries that should have been removed but are still in the record: the next call removes them.
         for (node, numbers) in former.0 {
             self.remote.nodes.entry(node).or_default().extend(numbers);
         }
@@ -203,15 +203,15 @@ impl OwnRecordState {
         Ok(said? || changed)
     }
 
-    /// Adds what is new, and takes back what is left of `former` then.
-    fn say_remote(
+    /// Adds the new entries, then removes the former ones that are no longer wanted.
+    fn write_remote(
         &mut self,
         remote: &RemoteGraph,
         topics: &mut BTreeSet<u64>,
         (nodes, entries): &mut (RemoteNodes, RemoteEntries),
     ) -> io::Result<bool> {
         let mut changed = false;
-        // By name: the first of several has the ends.
+        // By name: the endpoints refer to the first of several nodes with one name.
         let mut numbers = HashMap::new();
         for node in remote.all_nodes() {
             let number = match nodes.get_mut(&node).and_then(Vec::pop) {
@@ -245,7 +245,7 @@ impl OwnRecordState {
         }
         entries.retain(|_, numbers| !numbers.is_empty());
         topics.extend(entries.keys().map(|(_, hash, _)| hash));
-        // Their nodes go after them.
+        // Nodes are removed after their endpoints.
         for numbers in entries.values_mut().chain(nodes.values_mut()) {
             while let Some(number) = numbers.last() {
                 changed = true;
@@ -257,13 +257,13 @@ impl OwnRecordState {
     }
 }
 
-/// What is to be said of ends, with the hashes of their names; `nodes` are the entries of theirs.
+/// The entries to be announced for endpoints, with the hashes of their names; `nodes` are the numbers of their nodes' entries.
 fn wanted(remote: &RemoteGraph, nodes: &HashMap<NodeName, u64>) -> Vec<(EntryKind, u64, Vec<u8>)> {
     let (ports, services) = remote.records(nodes);
     let ports = ports.iter().map(|port| (EntryKind::RemotePort, hash_of(port.topic()), to_body(port)));
     let services = services.iter().map(|end| (EntryKind::RemoteService, hash_of(end.name()), to_body(end)));
     let ended = remote.ended.iter().map(|tag| (EntryKind::RemoteEnded, *tag, Vec::new()));
-    // Before what has ended is taken back.
+    // The normal ends come before the entries of ended publishers are removed.
     ended.chain(ports).chain(services).collect()
 }
 
@@ -292,7 +292,7 @@ impl NodeEntry {
     pub(crate) fn end(&self) {
         let slots = {
             let mut slots = self.slots();
-            // Before the wakes: who is woken sees it.
+            // Stored before the wakes, so that woken tasks see it.
             self.has_ended.store(true, Ordering::Release);
             std::mem::take(&mut *slots)
         };
@@ -345,7 +345,7 @@ impl NodeHandle {
         self.entry.has_ended()
     }
 
-    /// The owner of this slot ends with the node.
+    /// Makes the owner of this slot end with the node.
     ///
     /// # Real-time
     /// Setup only.

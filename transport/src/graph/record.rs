@@ -27,17 +27,17 @@ pub(crate) struct PortRecord {
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub(crate) body_bytes: Option<u64>,
     pub(crate) qos: QosRecord,
-    /// Passes on what others sent, whatever quality of service they asked for.
+    /// A relay's port, which forwards messages, and matches whatever the other endpoint's quality of service.
     #[serde(skip_serializing_if = "is_false", default)]
     pub(crate) relay: bool,
-    /// A subscription that takes what is sent anyway, and is nobody's end of the topic.
+    /// A tool's subscription, which takes what is published anyway, and is not an endpoint of the graph.
     #[serde(skip_serializing_if = "is_false", default)]
     pub(crate) observer: bool,
-    /// Where it is rung.
+    /// The doorbell slot that is rung for it.
     pub(crate) slot: u32,
-    /// Most samples that a subscription holds; of a publisher, where its memory lies.
+    /// Of a subscription, the maximum number of samples that it holds; of a publisher, the position of its memory.
     pub(crate) at: u64,
-    /// Of the end of a service that carries responses: the end of the same client or server that carries requests.
+    /// Of a port for a service's responses: the number of the port for requests of the same client or server.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub(crate) partner: Option<u64>,
 }
@@ -46,7 +46,7 @@ fn is_false(value: &bool) -> bool {
     !value
 }
 
-/// A quality of service. What is not said is ROS 2's default.
+/// A quality of service. Fields that are not present have ROS 2's default.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct QosRecord {
     depth: u64,
@@ -101,7 +101,7 @@ impl QosRecord {
     }
 }
 
-/// The body of an entry: what is serialised, and zeros.
+/// Deserialises the body of an entry, which is JSON followed by zeros.
 fn parse<'de, T: Deserialize<'de>>(body: &'de [u8]) -> Option<T> {
     let end = body.iter().rposition(|byte| *byte != 0)? + 1;
     serde_json::from_slice(&body[..end]).ok()
@@ -112,7 +112,7 @@ pub(crate) fn to_body(record: &impl Serialize) -> Vec<u8> {
 }
 
 impl PortRecord {
-    /// `None` if it says what no honest participant says.
+    /// Parses the body of an entry; `None` if it is invalid.
     pub(crate) fn parse(body: &[u8]) -> Option<Self> {
         let record: PortRecord = parse(body)?;
         let is_port = is_topic(&record.topic)
@@ -122,7 +122,7 @@ impl PortRecord {
         is_port.then_some(record)
     }
 
-    /// Of a subscription: the connection that a publisher makes for it that may have so many loans.
+    /// The shape of the connection from a publisher that may have `loans` loans to this subscription.
     pub(crate) fn shape(&self, loans: usize) -> Shape {
         Shape { depth: self.qos.qos().depth, held: self.at as usize, loans, is_observer: self.observer }
     }
@@ -166,7 +166,7 @@ pub(crate) struct RemoteServiceRecord {
     origin: Origin,
 }
 
-/// A node; of another host with where it is.
+/// A node; with its origin if it is on another host.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct NodeRecord {
     #[serde(flatten)]
@@ -190,8 +190,8 @@ pub(crate) fn is_enclave(enclave: &str) -> bool {
     enclave == "/" || is_absolute(enclave)
 }
 
-/// What a tag is not told of is one of its own.
-fn known(origin: &Origin, gid: Gid) -> Origin {
+/// The origin, with the tag of `gid` if it has no tag.
+fn with_tag(origin: &Origin, gid: Gid) -> Origin {
     let tag = if origin.tag == 0 { gid.tag() } else { origin.tag };
     Origin { tag, ..origin.clone() }
 }
@@ -205,9 +205,9 @@ impl RemotePortRecord {
             type_name: end.topic_type.name.to_string(),
             hash: end.topic_type.hash.as_ref().map(ToString::to_string),
             gid: end.gid,
-            // ROS does not tell its publishers' depth: 0.
+            // ROS 2 does not report the depth of its publishers: it is 0.
             qos: QosRecord::from(&Qos { depth: end.qos.depth.clamp(1, Limits::MAX_DEPTH), ..end.qos }),
-            origin: known(&end.origin, end.gid),
+            origin: with_tag(&end.origin, end.gid),
         }
     }
 
@@ -215,7 +215,7 @@ impl RemotePortRecord {
         parse(body).filter(Self::is_valid)
     }
 
-    /// Whether an honest participant says it.
+    /// Whether the record is valid.
     pub(crate) fn is_valid(&self) -> bool {
         is_absolute(&self.topic)
             && is_type(&self.type_name, self.hash.as_deref())
@@ -231,7 +231,7 @@ impl RemotePortRecord {
         self.node
     }
 
-    /// As `teller`, if it is one of this domain, tells of it.
+    /// The endpoint as `teller`, if that is a participant of this domain, announces it.
     pub(crate) fn endpoint(&self, node: &NodeName, teller: Option<u64>) -> TopicEndpoint {
         let mut topic_type = TopicType::new(self.type_name.clone());
         topic_type.hash = self.hash.clone().map(Into::into);
@@ -260,7 +260,7 @@ impl RemoteServiceRecord {
             type_name: end.type_name.clone(),
             hash: end.type_hash.clone(),
             gid: end.gid,
-            origin: known(&end.origin, end.gid),
+            origin: with_tag(&end.origin, end.gid),
         }
     }
 
@@ -268,7 +268,7 @@ impl RemoteServiceRecord {
         parse(body).filter(Self::is_valid)
     }
 
-    /// Whether an honest participant says it.
+    /// Whether the record is valid.
     pub(crate) fn is_valid(&self) -> bool {
         is_absolute(&self.name) && is_type(&self.type_name, self.hash.as_deref()) && self.origin.is_valid()
     }
@@ -281,7 +281,7 @@ impl RemoteServiceRecord {
         self.node
     }
 
-    /// As `teller`, if it is one of this domain, tells of it.
+    /// The endpoint as `teller`, if that is a participant of this domain, announces it.
     pub(crate) fn endpoint(&self, node: &NodeName, teller: Option<u64>) -> ServiceEndpoint {
         ServiceEndpoint {
             kind: if self.is_server { ServiceKind::Server } else { ServiceKind::Client },
@@ -303,7 +303,7 @@ impl NodeRecord {
         parse(body).filter(Self::is_valid)
     }
 
-    /// Whether an honest participant says it.
+    /// Whether the record is valid.
     pub(crate) fn is_valid(&self) -> bool {
         self.name.is_valid() && is_enclave(&self.enclave) && self.origin.as_ref().is_none_or(Origin::is_valid)
     }

@@ -38,7 +38,7 @@ pub struct RemoteGraph {
 }
 
 impl RemoteGraph {
-    /// Its nodes, each once, and one for each name of an end's node that none of them has, without an origin.
+    /// The listed nodes, each once, and a node without an origin for each node name that only endpoints have.
     pub(crate) fn all_nodes(&self) -> Vec<RemoteNode> {
         let nodes = self.nodes.iter().filter(|node| node.origin.is_valid() && is_enclave(&node.enclave));
         let nodes: BTreeSet<&RemoteNode> = nodes.collect();
@@ -54,7 +54,7 @@ impl RemoteGraph {
         nodes.into_iter().cloned().chain(unlisted).filter(|node| node.name.is_valid()).collect()
     }
 
-    /// The records of its ends; `nodes` are the numbers of nodes.
+    /// The records of its endpoints; `nodes` maps the names of nodes to their numbers.
     pub(crate) fn records(
         &self,
         nodes: &HashMap<NodeName, u64>,
@@ -88,7 +88,7 @@ impl From<RemoteGraph> for Text {
             places.entry(node.name.clone()).or_insert(place as u64);
         }
         let (ends, services) = graph.records(&places);
-        // What only ends name has no origin, and is no node there either.
+        // A node that only endpoints name has no origin; readers do not list it as a node either.
         let record = |RemoteNode { name, enclave, origin }| {
             let origin = (origin != Origin::default()).then_some(origin);
             NodeRecord { name, enclave, origin }

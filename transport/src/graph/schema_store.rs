@@ -76,9 +76,9 @@ impl SchemaStore {
         let folder = self.make()?;
         match fs::statat(&folder, hash, AtFlags::SYMLINK_NOFOLLOW) {
             Ok(stat) if stat.st_size > 0 || text.is_empty() => return Ok(()),
-            // What a crash of the system left.
+            // An empty file, which a crash of the system left.
             Ok(_) => {}
-            // Without a name until it is whole, so that who is killed leaves nothing. Not every file system can do that.
+            // The file has no name until it is complete, so that a killed process leaves nothing. Not every file system supports this.
             Err(Errno::NOENT) if link_whole(&folder, hash, text) => return Ok(()),
             Err(Errno::NOENT) => {}
             Err(error) => return Err(error.into()),
@@ -139,7 +139,7 @@ impl SchemaStore {
         self.open()
     }
 
-    /// Both folders must be this user's own: the place is where anybody can make folders.
+    /// Opens the folder. Both folders must belong to this user, because anybody can create folders where they are.
     fn open(&self) -> io::Result<OwnedFd> {
         let flags = OFlags::DIRECTORY | OFlags::NOFOLLOW | OFlags::RDONLY | OFlags::CLOEXEC;
         let root = fs::open(&self.root, flags, Mode::empty())?;
@@ -150,14 +150,14 @@ impl SchemaStore {
     }
 }
 
-/// For so long the definition is not looked for again: many topics of one type may be opened in a row.
+/// How long a stored definition is not checked again: many topics of one type may be opened in a row.
 const KEPT_NS: u64 = 1_000_000_000;
 
-/// Keeps the definition of a topic's type if its opener knows hash and definition. What goes wrong is said once and stops
-/// nobody: only tools that lack the definition miss it.
+/// Stores the definition of a topic's type if its opener knows hash and definition. A failure is logged once and is not an
+/// error: it affects only tools that lack the definition.
 pub(crate) fn keep(topic_type: &TopicType) {
     static SAID: Once = Once::new();
-    // Nobody waits for it, nor does a forked child.
+    // Only try-locked: no thread waits for it, nor does a forked child.
     static KEPT: Mutex<BTreeMap<PathBuf, u64>> = Mutex::new(BTreeMap::new());
     let (Some(hash), Some(definition)) = (&topic_type.hash, &topic_type.definition) else { return };
     let store = SchemaStore::of_user();
@@ -184,7 +184,7 @@ pub(crate) fn keep(topic_type: &TopicType) {
     }
 }
 
-/// Puts a file there whole. False if that cannot be done in this way; true also if somebody else was faster.
+/// Creates a file atomically with all its content. False if this is not possible; true also if another process was faster.
 fn link_whole(folder: impl AsFd, name: &str, text: &str) -> bool {
     let flags = OFlags::TMPFILE | OFlags::WRONLY | OFlags::CLOEXEC;
     let Ok(file) = fs::openat(&folder, ".", flags, Mode::RUSR | Mode::WUSR) else { return false };

@@ -73,8 +73,8 @@ pub(crate) struct Out {
 pub(crate) struct RoomRequest(sync::AtomicU32);
 
 impl RoomRequest {
-    /// The publisher, which found the queue full: asks to be rung, and looks again. If it is still full, the subscription has not taken
-    /// yet, and sees the request after its next take.
+    /// Requests a ring for the publisher, which found the queue full, and calls `is_full` again. If it is still full, the subscription
+    /// has not taken yet, and sees the request after its next take.
     ///
     /// # Real-time
     /// Wait-free; no syscall.
@@ -85,7 +85,7 @@ impl RoomRequest {
         is_full()
     }
 
-    /// The subscription, after each take: whether the publisher is to be rung, which it is told once.
+    /// Takes the request: whether the subscription, which calls this after each take, is to ring the publisher. True once per request.
     ///
     /// # Real-time
     /// Wait-free; no syscall.
@@ -96,7 +96,7 @@ impl RoomRequest {
 }
 
 impl Out {
-    /// The thread that publishes is handed the connection: what it publishes from now on comes.
+    /// Records that the thread that publishes has the connection: what it publishes from now on arrives.
     pub(crate) fn serve(&self) {
         // Release: pairs with the Acquire in `is_served`.
         self.served.store(1, Ordering::Release);
@@ -107,13 +107,13 @@ impl Out {
     }
 }
 
-/// Written by the subscription, but for the request.
+/// Written by the subscription, except for the request for room.
 #[repr(C, align(64))]
 pub(crate) struct Back {
     /// The number of the last sample that was taken.
     pub(crate) taken: AtomicU64,
     state: AtomicU32,
-    /// The publisher's segments of samples that are mapped: how often they had changed.
+    /// How often the publisher's segments of samples had changed when the subscription mapped them.
     pub(crate) mapped: AtomicU32,
     pub(crate) room: RoomRequest,
 }
@@ -128,7 +128,7 @@ impl Back {
         }
     }
 
-    /// Whether the subscription has not found all yet that the publisher, whose segments have changed so often, sends from.
+    /// Whether the subscription has not mapped yet all segments of the publisher, which have changed `grown` times.
     pub(crate) fn is_behind(&self, grown: u32) -> bool {
         match self.state() {
             ReaderState::Unknown => true,
@@ -142,12 +142,12 @@ impl Back {
     }
 }
 
-/// Where the parts of a connection go.
+/// What determines the lengths of a connection's queues.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Shape {
     pub(crate) depth: usize,
     pub(crate) held: usize,
-    /// Samples that the publisher may have loaned: it sends them without a look at what has come back.
+    /// Samples that the publisher may have loaned: it sends them without a check for returned samples.
     pub(crate) loans: usize,
     pub(crate) is_observer: bool,
 }
@@ -160,13 +160,13 @@ pub(crate) const BLOCK_BYTES: usize = size_of::<Block>();
 const WORD_BYTES: usize = size_of::<u64>();
 
 impl Shape {
-    /// The subscription may take and return all that is queued, and what the publisher sends, before that one [looks](UNLOOKED).
+    /// Room for all samples that the subscription may take and return, queued and newly sent, before the publisher [looks](UNLOOKED).
     pub(crate) fn returned_len(self) -> usize {
         self.depth + self.held + self.loans + UNLOOKED
     }
 
     fn submitted_bytes(self) -> usize {
-        // As the queue says, without what it adds for memory that is not aligned.
+        // As the queue computes it, without what it adds for memory that is not aligned.
         (self.depth + 1) * WORD_BYTES
     }
 
@@ -183,21 +183,21 @@ impl Shape {
     }
 }
 
-/// One end's hold of a connection.
+/// The handle that one end has of a connection.
 pub(crate) struct Connection {
     block: NonNull<Block>,
     map: Arc<Mapping>,
 }
 
-// SAFETY: the block is shared memory of atomics and of queues that are Sync; who uses which end of the queues is the unsafe
-// functions' business.
+// SAFETY: the block is shared memory of atomics and of queues that are Sync; the unsafe functions state which thread uses which
+// end of the queues.
 unsafe impl Send for Connection {}
 // SAFETY: as above.
 unsafe impl Sync for Connection {}
 
 impl Connection {
-    /// Makes a connection in memory of this process's own file: `block_at` bytes into `map` the block, `queues_at` the memory of its
-    /// queues, both multiples of 64. The queues' memory is not touched.
+    /// Makes a connection in memory of this process's own file: the block is `block_at` bytes into `map`, the memory of its queues
+    /// `queues_at` bytes, both multiples of 64. The queues' memory is not touched.
     ///
     /// # Errors
     /// The system refuses memory to make it in.
@@ -211,9 +211,9 @@ impl Connection {
         subscription: Gid,
         shape: Shape,
     ) -> io::Result<Self> {
-        // iceoryx2 writes zeros to all of a queue's memory. Where many deep queues are made, most of which are never used, that
-        // would be most of the memory. So the queues are made in a place of this process's own where their memory has the same
-        // distance, and only they themselves are copied: nobody reads a place of a queue that nothing was written to.
+        // iceoryx2 writes zeros to all of a queue's memory. With many deep queues, most of which are never used, that would be
+        // most of the memory. So the queues are made in private memory, at the same distance from their memory, and only they
+        // themselves are copied: nobody reads an element of a queue to which nothing was written.
         let distance = queues_at as isize - block_at as isize;
         // SAFETY: as the caller promises.
         let block = unsafe { map.start().byte_add(block_at).cast::<Block>() };
@@ -230,7 +230,7 @@ impl Connection {
         Ok(connection)
     }
 
-    /// The connection at a place of a publisher's memory; whose it is, it says itself. `None`: there is none.
+    /// Opens the connection at a position of a publisher's memory; the block names its subscription. `None`: there is no connection.
     pub(crate) fn open(map: &Arc<Mapping>, block_at: usize) -> Option<Self> {
         let end = block_at.checked_add(BLOCK_BYTES)?;
         if end > map.len_bytes() || !block_at.is_multiple_of(align_of::<Block>()) {
@@ -243,17 +243,17 @@ impl Connection {
         (connection.block().magic.load(Ordering::Acquire) == MAGIC).then_some(connection)
     }
 
-    /// All memory of the queues, which lie so far into the part of the file, has been claimed.
+    /// Records that all memory of the queues, which lie `queues_at` bytes into the part of the file, has been claimed.
     pub(crate) fn note_claimed(&self, queues_at: usize, shape: Shape) {
         let [at, bytes] = &self.block().claimed_queues;
         bytes.store(shape.queues_bytes() as u64, Ordering::Relaxed);
         at.store(queues_at as u64, Ordering::Release);
     }
 
-    /// Brings in the pages of the block and, if they have memory, of the queues, so that the subscription's end faults none.
+    /// Brings in the pages of the block and, if they have memory, of the queues, so that the subscription has no page faults.
     pub(crate) fn bring_in(&self) {
         let block_at = self.block.addr().get() - self.map.start().addr().get();
-        // Should that fail, taking faults: of queues, where they lie is another process's claim.
+        // If this fails, taking causes page faults. The position of the queues comes from another process, and may be wrong.
         let _ = self.map.populate(block_at, BLOCK_BYTES, true);
         let [at, bytes] = &self.block().claimed_queues;
         let word = |word: u64| usize::try_from(word).unwrap_or(usize::MAX);
@@ -263,7 +263,7 @@ impl Connection {
         }
     }
 
-    /// Nobody finds it any more.
+    /// Invalidates the connection, so that it is not found any more.
     pub(crate) fn erase(&self) {
         self.block().magic.store(0, Ordering::Release);
     }
@@ -334,26 +334,26 @@ impl Connection {
         self.block().submitted.len()
     }
 
-    /// Whether nothing is queued, as far as can be seen at once.
+    /// Whether nothing is queued at the moment of the call.
     pub(crate) fn is_empty(&self) -> bool {
         self.block().submitted.is_empty()
     }
 }
 
-/// A block with queues whose memory is at a certain distance, in memory of this process's own. Mapped, for it may be long, and little of
-/// it is used: what lies between takes no memory, nor time.
+/// A block with queues whose memory is at a certain distance, in private memory. It is mapped, because it may be long, and little of
+/// it is used: the pages between take neither memory nor time.
 struct Template {
     memory: Mapping,
     block_at: usize,
 }
 
-/// Made last, if it is not longer than [`KEPT_BYTES`]: many publishers in a row have queues of one shape. Nobody waits for it, so it neither holds up
-/// a thread of higher priority nor a forked child.
+/// The last template, if it is not longer than [`KEPT_BYTES`]: many publishers in a row have queues of one shape. It is only try-locked,
+/// so it delays neither a thread of higher priority nor a forked child.
 static LAST: Mutex<Option<(isize, Shape, Template)>> = Mutex::new(None);
 const KEPT_BYTES: usize = 64 << 10;
 
 impl Template {
-    /// Gives `copy` the queues of a shape whose memory begins so far behind the block.
+    /// Calls `copy` with queues of this shape whose memory begins `distance` bytes after the block.
     fn with(distance: isize, shape: Shape, copy: impl FnOnce(&Template)) -> io::Result<()> {
         let is_same = |(of, as_is, _): &mut (isize, Shape, Template)| (*of, *as_is) == (distance, shape);
         let known = LAST.try_lock().ok().and_then(|mut last| last.take_if(is_same));

@@ -17,20 +17,20 @@ use std::sync::atomic::{AtomicU32, AtomicU64, Ordering, fence};
 use tautline_rt::shm::Mapping;
 
 pub(super) const MAGIC: u64 = u64::from_le_bytes(*b"tautpub1");
-/// Parts of a publisher's control memory at most.
+/// Maximum number of parts of a publisher's control memory.
 pub(crate) const PARTS: usize = 10;
 /// Address space of the first part, at least; each further one is four times as long. Memory is claimed as it is used.
 const FIRST_PART_BYTES: u64 = 32 << 10;
 const ALIGNMENT: u64 = 64;
 const FIRST_ENTRIES: usize = 8;
 
-/// What the first part begins with. Any bytes are one: what peers find there are claims.
+/// The beginning of the first part. All bit patterns are valid values; peers treat its content as untrusted.
 #[repr(C)]
 pub(crate) struct PublisherHead {
     magic: AtomicU64,
     gid: [AtomicU64; 2],
     ended: AtomicU32,
-    /// Moves when there is a segment more or less.
+    /// Changes when a segment is added or removed.
     pub(crate) grown: AtomicU32,
     /// Where the parts lie: see [`PackedRange`].
     pub(crate) parts: [AtomicU64; PARTS],
@@ -41,7 +41,7 @@ pub(crate) struct PublisherHead {
     traffic: TrafficWords,
 }
 
-/// What the publisher has sent. On lines of their own: subscriptions read the others with every message.
+/// Counts what the publisher has sent. On cache lines of its own: subscriptions read the other words with every message.
 #[repr(C, align(64))]
 struct TrafficWords {
     messages: AtomicU64,
@@ -66,7 +66,7 @@ struct DirectoryEntry {
     block: AtomicU64,
 }
 
-/// Bits of the word that says where the directory lies that count its entries.
+/// Bits for the number of entries in the word with the directory's position.
 const ENTRIES_BITS: u32 = 20;
 
 fn directory_word(offset: u64, entries: usize) -> u64 {
@@ -77,19 +77,19 @@ fn directory_place(word: u64) -> (u64, usize) {
     ((word >> ENTRIES_BITS) * ALIGNMENT, (word & ((1 << ENTRIES_BITS) - 1)) as usize)
 }
 
-/// One word for each subscription; that two have the same is no matter, only unlikely.
+/// A hash of a subscription's gid, which is not 0. That two subscriptions have the same is unlikely, and harmless.
 fn key(subscription: Gid) -> u64 {
     let [low, high] = subscription.words();
     low.wrapping_add(high.wrapping_mul(0x9e37_79b9_7f4a_7c15)) | 1
 }
 
 fn head(first: &Mapping) -> &PublisherHead {
-    // SAFETY: callers give the first part of a publisher's memory, which is longer than a head, mapped at the start of a page; any
-    // bytes are one.
+    // SAFETY: callers pass the first part of a publisher's memory, which is longer than a head, mapped at the start of a page; any
+    // bytes are a valid head.
     unsafe { first.start().cast().as_ref() }
 }
 
-/// Entries of a directory that lies within a part.
+/// The entries of the directory at the position `word`; `None` if it does not lie within a part.
 fn directory(parts: &[(Range, Arc<Mapping>)], word: u64) -> Option<&[DirectoryEntry]> {
     let (offset, entries) = directory_place(word);
     let (part, at) = find(parts, offset)?;
@@ -103,7 +103,7 @@ fn directory(parts: &[(Range, Arc<Mapping>)], word: u64) -> Option<&[DirectoryEn
     })
 }
 
-/// The part that an offset of the file lies in, and where in it.
+/// The part that contains an offset of the file, and the offset within the part.
 fn find(parts: &[(Range, Arc<Mapping>)], offset: u64) -> Option<(&Arc<Mapping>, usize)> {
     let (range, map) = parts.iter().find(|(range, _)| (range.offset..range.end()).contains(&offset))?;
     Some((map, (offset - range.offset) as usize))
@@ -124,7 +124,7 @@ struct Stretch {
     range: Range,
 }
 
-/// Where a connection lies, to give it back.
+/// The memory of a connection, to give it back.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ConnectionPlace {
     block: Stretch,
@@ -170,17 +170,17 @@ impl PublisherControl {
         head(&self.parts[0].1)
     }
 
-    /// Where the first part lies: what the publisher's entry in the record says.
+    /// The position of the first part, as the publisher's entry in the record has it.
     pub(crate) fn place(&self) -> u64 {
         PackedRange::to_word(self.parts[0].0)
     }
 
-    /// What counts what is sent; not to be used once this was [released](Self::release).
+    /// The counters of what is sent; not to be used after [`release`](Self::release).
     pub(crate) fn traffic(&self) -> Traffic {
         Traffic(self.parts[0].1.clone())
     }
 
-    /// The first part, and what is in the file where: for subscriptions of the same process.
+    /// All parts, and their positions in the file: for subscriptions of the same process.
     pub(crate) fn parts(&self) -> Vec<(Range, Arc<Mapping>)> {
         self.parts.clone()
     }
@@ -201,18 +201,18 @@ impl PublisherControl {
         self.free.push(Ranges::new(Range { offset: 0, len: range.len }, ALIGNMENT));
         self.claimed.push(vec![false; (range.len / self.memory.page_bytes()) as usize]);
         if index > 0 {
-            // Release: pairs with the Acquire of who maps it.
+            // Release: pairs with the Acquire of the participant that maps it.
             self.head().parts[index].store(PackedRange::to_word(range), Ordering::Release);
         }
         Ok(())
     }
 
-    /// Takes a stretch at the beginning of a part: of what is written at once.
+    /// Takes a stretch at the beginning of a part: for memory that is written at once.
     fn take(&mut self, part: usize, len: u64) -> Option<Stretch> {
         Some(Stretch { part, range: self.free[part].take(len)? })
     }
 
-    /// Takes a stretch at the end of a part: the memory of queues, of which most may never be used.
+    /// Takes a stretch at the end of a part: for the memory of queues, most of which may never be used.
     fn take_last(&mut self, part: usize, len: u64) -> Option<Stretch> {
         Some(Stretch { part, range: self.free[part].take_last(len)? })
     }
@@ -230,7 +230,7 @@ impl PublisherControl {
         let page_bytes = self.memory.page_bytes();
         let from = stretch.range.offset + at;
         let pages = (from / page_bytes) as usize..((from + len).div_ceil(page_bytes)) as usize;
-        // Those in a row that are not claimed yet at once.
+        // Adjacent pages that are not claimed yet are claimed together.
         let mut page = pages.start as u64;
         for row in self.claimed[stretch.part][pages].chunk_by_mut(|one, next| one == next) {
             let (offset, len) = (page * page_bytes, row.len() as u64 * page_bytes);
@@ -244,7 +244,7 @@ impl PublisherControl {
         Ok(())
     }
 
-    /// Takes something in the first part that has room for it, or in a new one.
+    /// Calls `take` for each part until one has room, and adds parts until then.
     fn find_room<T>(&mut self, take: impl Fn(&mut Self, usize) -> Option<T>) -> io::Result<T> {
         let mut part = 0;
         loop {
@@ -266,11 +266,11 @@ impl PublisherControl {
         shape: Shape,
         samples: usize,
     ) -> io::Result<(Connection, ConnectionPlace)> {
-        // Both in one part: the queues refer to their memory by its distance.
+        // Both lie in one part, because the queues refer to their memory by its distance.
         let (block, queues) = self.find_room(|control, part| {
             let (block, queues_bytes) =
                 (control.take(part, BLOCK_BYTES as u64)?, shape.queues_bytes() as u64);
-            // What is written at once shares pages.
+            // Queues whose memory is claimed at once share pages with other memory that is.
             let queues = match samples {
                 usize::MAX => control.take(part, queues_bytes),
                 _ => control.take_last(part, queues_bytes),
@@ -298,7 +298,7 @@ impl PublisherControl {
         self.claim_queues(place, samples)?;
         let map = &self.parts[block.part].1;
         let (block_at, queues_at) = (block.range.offset as usize, queues.range.offset as usize);
-        // SAFETY: both stretches lie within the part, and were nobody's; the memory that is written has been claimed.
+        // SAFETY: both stretches lie within the part, and were free; the memory that is written has been claimed.
         let connection = unsafe { Connection::create(map, block_at, queues_at, subscription, shape) }?;
         if samples == usize::MAX {
             connection.note_claimed(queues_at, shape);
@@ -343,7 +343,8 @@ impl PublisherControl {
             entry.block.store(of(|entry| &entry.block), Ordering::Relaxed);
         }
         enter(&new[former]);
-        // Release: as above. Who still reads the former one finds what was there.
+        // Release: as above. The former directory may be overwritten from here on, while other processes still read it: they may miss a
+        // connection, and what they find is checked by its magic and its gid.
         self.head().directory.store(new_word, Ordering::Release);
         let (offset, _) = directory_place(word);
         let part = self.parts.iter().position(|(range, _)| (range.offset..range.end()).contains(&offset));
@@ -357,7 +358,7 @@ impl PublisherControl {
         Ok(())
     }
 
-    /// The subscription is done with its connection: its memory is free again.
+    /// Frees a connection, which its subscription does not use any more.
     pub(crate) fn disconnect(&mut self, connection: &Connection, place: ConnectionPlace) {
         let offset = self.parts[place.block.part].0.offset + place.block.range.offset;
         let entries = directory(&self.parts, self.head().directory.load(Ordering::Relaxed)).unwrap_or(&[]);
@@ -369,11 +370,11 @@ impl PublisherControl {
         self.give_back(place.queues);
     }
 
-    /// Tells peers of a segment.
+    /// Shows a segment to peers.
     pub(crate) fn show_segment(&self, segment: &Segment) {
         if let Some(words) = self.head().segments.get(segment.id()) {
             words.sample_bytes.store(segment.sample_bytes() as u64, Ordering::Relaxed);
-            // Release: pairs with the Acquire of who maps it.
+            // Release: pairs with the Acquire of the participant that maps it.
             words.place.store(PackedRange::to_word(segment.range), Ordering::Release);
             self.head().grown.fetch_add(1, Ordering::Release);
         }
@@ -386,12 +387,12 @@ impl PublisherControl {
         }
     }
 
-    /// The publisher has ended: what it sent stays to be taken.
+    /// Marks the publisher as ended; its samples can still be taken.
     pub(crate) fn end(&self) {
         self.head().ended.store(1, Ordering::Release);
     }
 
-    /// Gives all of it back to the file: no subscription uses it any more.
+    /// Gives all parts back to the file; no subscription uses them any more.
     pub(crate) fn release(self) {
         self.head().magic.store(0, Ordering::Release);
         self.give_back_parts();
@@ -413,20 +414,20 @@ pub struct Sent {
     pub last_ns: u64,
 }
 
-/// Where a publisher says what it sends. Any process may read it, without its doing.
+/// The counters of what a publisher sends. Any process may read them without the publisher's help.
 pub(crate) struct Traffic(Arc<Mapping>);
 
 impl Traffic {
-    /// A message has been sent. For the thread that publishes; nobody else writes.
+    /// Counts a message that was sent. For the thread that publishes; no other thread writes.
     ///
     /// # Real-time
-    /// Wait-free: three loads and stores of a line that is this thread's, unless somebody looks.
+    /// Wait-free: two loads and three stores, of a cache line that is this thread's unless another process reads it.
     #[inline]
     pub(crate) fn note(&self, len_bytes: usize, now_ns: u64) {
         let TrafficWords { messages, bytes, last_ns } = &head(&self.0).traffic;
         bytes.store(bytes.load(Ordering::Relaxed).wrapping_add(len_bytes as u64), Ordering::Relaxed);
         last_ns.store(now_ns, Ordering::Relaxed);
-        // Release: who reads the number reads what belongs to it, or to a later one.
+        // Release: pairs with the Acquire in `sent`; a reader of this number reads the other words of this message or of a later one.
         messages.store(messages.load(Ordering::Relaxed).wrapping_add(1), Ordering::Release);
     }
 }
@@ -443,7 +444,7 @@ impl MappedControl {
         head(&self.0).grown.load(Ordering::Acquire)
     }
 
-    /// What the publisher has sent: of one instant, unless it sends meanwhile more often than this looks again.
+    /// What the publisher has sent: of one instant, unless the publisher sends more often meanwhile than this reads again.
     pub(crate) fn sent(&self) -> Sent {
         let TrafficWords { messages, bytes, last_ns } = &head(&self.0).traffic;
         let mut sent = Sent::default();
@@ -451,7 +452,7 @@ impl MappedControl {
             sent.messages = messages.load(Ordering::Acquire);
             sent.bytes = bytes.load(Ordering::Relaxed);
             sent.last_ns = last_ns.load(Ordering::Relaxed);
-            // The loads before come before the one after.
+            // Orders the loads above before the one below.
             fence(Ordering::Acquire);
             if messages.load(Ordering::Relaxed) == sent.messages {
                 break;
@@ -467,7 +468,7 @@ pub(crate) struct View {
 }
 
 impl View {
-    /// What lies at the place that a publisher's entry names. `None`: it is not that publisher's memory.
+    /// Opens the memory at the position that a publisher's entry states. `None`: it is not that publisher's memory.
     pub(crate) fn open(first: Range, map: Arc<Mapping>, gid: Gid) -> Option<Self> {
         if map.len_bytes() < HEAD_BYTES as usize {
             return None;
@@ -488,12 +489,12 @@ impl View {
         head(&self.parts[0].1)
     }
 
-    /// Its head alone.
+    /// The mapping of the head alone.
     pub(crate) fn head_map(&self) -> MappedControl {
         MappedControl(self.parts[0].1.clone())
     }
 
-    /// Parts that are there and not mapped yet.
+    /// Parts that exist and are not mapped yet.
     pub(crate) fn missing(&self) -> Vec<Range> {
         let words = self.head().parts.iter().map(|place| place.load(Ordering::Acquire));
         let places = words.filter_map(PackedRange::from_word);

@@ -24,15 +24,15 @@ use tautline_rt::shm::{self, Mapping, OwnFile, PeerFile, Region, ShmError, page_
 use tautline_rt::{PiGuard, PiMutex};
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautpart");
-/// Of all that a participant's file holds: raised with any change, of which a test of `connection` tells.
+/// The version of the layout of a participant's file: raised with any change, which a test of `connection` detects.
 pub(crate) const VERSION: u32 = 5;
 /// Starts the names of participants' files in the folder of their domain.
 pub(crate) const PREFIX: &str = "p";
-/// Starts the names of files that stand for participants whose own was removed.
+/// Starts the names of files that stand for participants whose own file was removed.
 const STAND_IN: &str = "r";
-/// Where the arena lies, whatever a page is: the head is shorter, and this a multiple of the arena's alignment.
+/// The position of the arena for any page size: the head is shorter, and this is a multiple of the arena's alignment.
 const ARENA_AT: usize = 4096;
-/// Where files end at the latest: more than memory will be.
+/// The maximum length of a file: more than any machine's memory.
 const END: u64 = 1 << 46;
 
 /// The head of a participant's file. All bit patterns are valid values; peers treat its content as untrusted.
@@ -62,7 +62,7 @@ impl PackedRange {
         (range.offset / Self::UNIT) << Self::LEN_BITS | (range.len / Self::UNIT) & ((1 << Self::LEN_BITS) - 1)
     }
 
-    /// A claim of another process.
+    /// Unpacks a word of another process, which is untrusted.
     pub(crate) fn from_word(word: u64) -> Option<Range> {
         let units = |count: u64| count * Self::UNIT;
         let (offset, len) = (units(word >> Self::LEN_BITS), units(word & ((1 << Self::LEN_BITS) - 1)));
@@ -89,12 +89,12 @@ impl FileLayout {
         FileLayout { page_bytes }
     }
 
-    /// The head and the arena: what peers map first.
+    /// Bytes of the head and the arena, which peers map first.
     fn first_bytes(self) -> usize {
         (ARENA_AT + MAIN_BYTES).next_multiple_of(self.page_bytes as usize)
     }
 
-    /// What dynamic parts are taken from.
+    /// The free ranges, from which dynamic parts are taken.
     fn ranges(self) -> Ranges {
         let offset = self.first_bytes() as u64;
         Ranges::new(Range { offset, len: END - offset }, self.page_bytes)
@@ -102,7 +102,7 @@ impl FileLayout {
 }
 
 fn head(first: &Mapping) -> &ParticipantHeader {
-    // SAFETY: the first part of a file, which is longer than a Head, mapped at the start of a page; any bytes are one.
+    // SAFETY: the first part of a file, which is longer than a head, mapped at the start of a page; any bytes are a valid head.
     unsafe { first.start().cast().as_ref() }
 }
 
@@ -118,7 +118,7 @@ pub(crate) struct OwnMemory {
 }
 
 impl OwnMemory {
-    /// Makes the file of a new participant of `domain`, whose folder is there.
+    /// Creates the file of a new participant of `domain`, whose folder exists.
     pub(crate) fn create(domain: u32) -> Result<Self, TransportError> {
         Self::create_as(domain, FileLayout::of_host())
     }
@@ -154,7 +154,7 @@ impl OwnMemory {
         })
     }
 
-    /// The number in the file's name, which is this participant's.
+    /// This participant's id, which is the number in the file's name.
     pub(crate) fn id(&self) -> u64 {
         self.file.id()
     }
@@ -172,13 +172,13 @@ impl OwnMemory {
         head(&self.first)
     }
 
-    /// The arena, made anew.
+    /// Creates the arena.
     pub(crate) fn create_arena(&self) -> Arena {
         let memory = Region::new(&self.first, ARENA_AT, MAIN_BYTES).expect("it is part of the first bytes");
         Arena::create(ArenaId(self.id()), memory)
     }
 
-    /// Memory for more slots.
+    /// Allocates the memory of a further window of slots, and shows it to peers.
     pub(crate) fn grow_arena(&self, window: usize) -> io::Result<Region> {
         let bytes = window_bytes(window);
         let range = self.reserve(bytes as u64)?;
@@ -219,7 +219,7 @@ impl OwnMemory {
         Ok(range)
     }
 
-    /// Claims memory for a part, or for a part of one.
+    /// Claims memory for a part of the file, or for some pages of one.
     pub(crate) fn claim(&self, range: Range) -> io::Result<()> {
         self.file.claim(range.offset, range.len).map_err(|error| error.source)
     }
@@ -229,9 +229,9 @@ impl OwnMemory {
         Ok(Arc::new(Mapping::new(&self.file, range.offset, range.len as usize, true)?))
     }
 
-    /// Gives a part back: nobody uses it any more, here or elsewhere.
+    /// Releases a part, which no process uses any more.
     pub(crate) fn release(&self, range: Range) {
-        // If that fails its memory stays until it is used again.
+        // If this fails, the part keeps its memory until it is used again.
         let _ = self.file.give_back(range.offset, range.len);
         self.ranges().give_back(range);
     }
@@ -241,10 +241,10 @@ impl OwnMemory {
         !shm::has_name(&self.file)
     }
 
-    /// The file was removed: makes another one, which says by its lock whether this participant lives. It is empty.
+    /// Creates an empty file in place of the removed one; its lock shows whether this participant is alive.
     ///
     /// # Errors
-    /// The folder was removed, too, or the system refuses, or somebody took the file for a dead one's: try again.
+    /// The folder was removed, too, or the system refuses, or another process took the file for a dead participant's: try again.
     pub(crate) fn make_stand_in(&self) -> Result<(), TransportError> {
         let path = self.path().with_file_name(format!("{STAND_IN}{:016x}", self.id()));
         *self.stand_in() = Some(OwnFile::create_at(path, self.id()).map_err(file_error)?);
@@ -275,10 +275,10 @@ pub(crate) struct Peer {
 }
 
 impl Peer {
-    /// Maps the head and the doorbell of a participant. `None`: it has gone.
+    /// Maps the head and the doorbell of a participant. `None`: its file no longer exists.
     ///
     /// # Errors
-    /// It is there, and is of another version or damaged, or the system refuses: see [`TransportError::is_passing`].
+    /// The file is of another version or damaged, or the system refuses: see [`TransportError::is_passing`].
     pub(crate) fn open(domain: u32, id: u64) -> Result<Option<Peer>, TransportError> {
         let path = path(domain, id);
         let Some(file) = open(&path)? else { return Ok(None) };
@@ -300,8 +300,8 @@ impl Peer {
         Ok(Some(Peer { id, path, first, arena, brought_in: Once::new() }))
     }
 
-    /// Whether a participant lives: for who is none itself, and may come when all have died and nobody has cleaned up after them.
-    pub(crate) fn lives(domain: u32, id: u64) -> bool {
+    /// Whether a participant is alive. For visitors: all participants may have died, with nobody left to clean up after them.
+    pub(crate) fn is_alive(domain: u32, id: u64) -> bool {
         PeerFile::open(path(domain, id), false).is_ok_and(|file| file.is_owned())
     }
 
@@ -313,7 +313,7 @@ impl Peer {
         &self.path
     }
 
-    /// Its process, as it says.
+    /// Its process's id, as the participant states it.
     pub(crate) fn pid(&self) -> u32 {
         self.head().pid.load(Ordering::Relaxed)
     }
@@ -324,7 +324,7 @@ impl Peer {
 
     /// Makes sure that `slot` can be rung, without a page fault. False if there is no such slot.
     pub(crate) fn reach(&self, slot: usize) -> Result<bool, TransportError> {
-        // Should it fail, the first rings fault.
+        // If this fails, the first rings cause page faults.
         self.brought_in.call_once(|| _ = self.first.populate(0, self.first.len_bytes(), true));
         if self.arena.has(slot) {
             return Ok(true);
@@ -353,7 +353,7 @@ impl Peer {
     }
 }
 
-/// `None` if it is gone.
+/// Opens the file of a participant; `None` if it no longer exists.
 fn open(path: &std::path::Path) -> Result<Option<PeerFile>, TransportError> {
     match PeerFile::open(path.to_owned(), true) {
         Ok(file) => Ok(Some(file)),
@@ -366,7 +366,7 @@ pub(crate) fn path(domain: u32, id: u64) -> PathBuf {
     shared_path(domain).join(format!("{PREFIX}{id:016x}"))
 }
 
-/// The participant whose file has this name, or a file that stands for it.
+/// The id of the participant whose file, or stand-in file, has this name.
 pub(crate) fn id_of(name: &str) -> Option<u64> {
     let digits = name
         .strip_prefix(PREFIX)

@@ -1,22 +1,22 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which samples of a publisher are free, and the order in which they are used again.
 //!
-//! A line of memory that the cache of the core which read it still holds has to be taken from there when it is written again. So a
-//! sample waits until others have been freed after it, and is taken by then from a cache that both cores share.
+//! A cache line that the core which read it still holds must be fetched from that core's cache when it is written again. So a
+//! sample waits until others have been freed after it; by then its lines are fetched from a cache that both cores share.
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
 use core::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 
-/// The free samples of a size, by words that its owner gives them. One thread uses it: its parts are atomics, which that thread reads and
-/// writes as if they were none, so that a table which is handed over to that thread can contain it.
+/// The free samples of a size, as words that the list's owner assigns. Only one thread uses the list. Its fields are atomics, which this
+/// thread uses like plain values, so that a table that is handed over to the thread can contain the list.
 ///
-/// The samples that were freed last wait in the order in which they were freed. A longer list has the others, of which the one that was
-/// added last is used first: so no more than those that wait, and those in use, are used in turn.
+/// The samples that were freed last wait in the order in which they were freed. A longer stack has the others: of these, the one that
+/// was added last is used first. So no more samples are used in turn than those that wait and those in use.
 pub(crate) struct FreeList {
-    /// Empty if one is used in turn: the list of the others has that order.
+    /// Without places if one sample is used in turn: the stack of the others has that order.
     waiting: Box<[AtomicU32]>,
-    /// The place of the one that has waited for longest, and how many there are.
+    /// The place of the sample that has waited longest. The next field counts the samples that wait.
     first: AtomicUsize,
     waiting_len: AtomicUsize,
     others: Box<[AtomicU32]>,
@@ -24,7 +24,7 @@ pub(crate) struct FreeList {
 }
 
 impl FreeList {
-    /// An empty one for so many samples, of which so many are used in turn.
+    /// An empty list for `samples` samples, of which `in_turn` are used in turn.
     #[allow(clippy::disallowed_methods, reason = "set-up")]
     pub(crate) fn new(samples: usize, in_turn: usize) -> Self {
         let places = |count: usize| (0..count).map(|_| AtomicU32::new(0)).collect();
@@ -47,7 +47,7 @@ impl FreeList {
         self.take_waiting(self.waiting_len.load(Ordering::Relaxed))
     }
 
-    /// What is taken next, if nothing is freed before.
+    /// The sample that is taken next, if none is freed before.
     ///
     /// # Real-time
     /// Wait-free; no syscall.
@@ -60,7 +60,7 @@ impl FreeList {
         Some(place?.load(Ordering::Relaxed))
     }
 
-    /// The place of the next one, if it is not one that waits.
+    /// The place of the next sample among the others; `None` if the next one is a sample that waits.
     fn last_of_others(&self) -> Option<usize> {
         let waiting = self.waiting_len.load(Ordering::Relaxed);
         let is_others_turn = waiting < self.waiting.len() || self.waiting.is_empty();
@@ -74,12 +74,12 @@ impl FreeList {
         Some(self.waiting.get(first)?.load(Ordering::Relaxed))
     }
 
-    /// Of less than twice as many as there are places, the place.
+    /// The place `at` modulo the number of places; `at` is less than twice that number.
     fn place(&self, at: usize) -> usize {
         if at < self.waiting.len() { at } else { at - self.waiting.len() }
     }
 
-    /// A sample was freed.
+    /// Adds a sample that was freed just now.
     ///
     /// # Real-time
     /// Wait-free; no syscall.
@@ -100,7 +100,7 @@ impl FreeList {
         }
     }
 
-    /// Adds a sample that was not freed in its turn.
+    /// Adds a sample to the others, without a wait.
     pub(crate) fn add(&self, sample: u32) {
         let others = self.others_len.load(Ordering::Relaxed);
         if let Some(place) = self.others.get(others) {

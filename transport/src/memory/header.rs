@@ -10,12 +10,12 @@ use std::fmt;
 pub struct Gid(pub [u8; 16]);
 
 impl Gid {
-    /// That of the port `number` of a participant.
+    /// The gid of the port `number` of a participant.
     pub(crate) fn of(participant: u64, number: u64) -> Self {
         Gid::from_words([participant, number])
     }
 
-    /// Of a port on this host: its participant and its number there.
+    /// For a port on this host: its participant's id, and its number there.
     pub(crate) fn words(self) -> [u64; 2] {
         let value = u128::from_le_bytes(self.0);
         [value as u64, (value >> 64) as u64]
@@ -30,7 +30,7 @@ impl Gid {
         self.words()[0]
     }
 
-    /// Of the port, among those of its participant.
+    /// For a port on this host: its number among the ports of its participant.
     pub(crate) fn number(self) -> u64 {
         self.words()[1]
     }
@@ -63,40 +63,40 @@ pub(crate) enum SampleKind {
     NoAnswer,
 }
 
-/// What a body of CDR begins with where it is serialized: little-endian, no options.
+/// The encapsulation of serialized CDR: little-endian, no options.
 pub(crate) const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
-/// In place of it in a sample that is no message: no CDR has it.
+/// Replaces [`ENCAPSULATION`] in a sample that is not a message: no CDR has this encapsulation.
 const NO_ANSWER: [u8; 4] = [0xFF; 4];
 
-/// What a sample begins with. In another process's hands: a claim, but one of which every value is harmless: a wrong number is a
-/// wrong count.
+/// The beginning of a sample. A header that another process can write is untrusted, but every value is harmless: a wrong number
+/// only causes a wrong count.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C, align(64))]
 pub(crate) struct SampleHeader {
-    /// Counts the samples of the port that sent this one, from 1: what losses are counted from.
+    /// Counts the samples of the port that sent this one, from 1. Losses are computed from it.
     pub(crate) sequence_number: u64,
     pub(crate) released_ns: u64,
     /// When it is no longer delivered, on `CLOCK_MONOTONIC`; [`NEVER`] without a lifespan.
     pub(crate) expires_ns: u64,
     pub(crate) source_timestamp_ns: i64,
-    /// As published first: those of the port, unless the message came from another host.
+    /// This number and `source_gid` are those of the original publisher: the port's own, unless the message came from another host.
     pub(crate) source_sequence_number: u64,
     pub(crate) source_gid: Gid,
     /// Length of the body.
     pub(crate) len_bytes: u32,
-    /// Directly before the body, so that both together are the message as it is serialized: [`ENCAPSULATION`]. It tells what kind of
-    /// sample it is.
+    /// Directly before the body, so that both together are the serialized message: [`ENCAPSULATION`]. Another value marks another kind
+    /// of sample.
     pub(crate) encapsulation: [u8; 4],
 }
 
 pub(crate) const HEADER_BYTES: usize = size_of::<SampleHeader>();
 
-/// What `expires_ns` says of a sample without a lifespan.
+/// The `expires_ns` of a sample without a lifespan.
 pub(crate) const NEVER: u64 = u64::MAX;
 
 impl SampleHeader {
-    /// Says how long the body is, as CDR: a plain type's memory without its trailing padding; and what the sample is. The length is at most
-    /// [`Limits::MAX_MESSAGE_BYTES`](crate::Limits::MAX_MESSAGE_BYTES).
+    /// Sets the sample's kind and the length of its body as CDR: of a plain type, its memory without trailing padding. The length is at
+    /// most [`Limits::MAX_MESSAGE_BYTES`](crate::Limits::MAX_MESSAGE_BYTES).
     pub(crate) fn set_body(&mut self, len_bytes: usize, kind: SampleKind) {
         self.len_bytes = u32::try_from(len_bytes).unwrap_or(u32::MAX);
         self.encapsulation = match kind {
@@ -105,13 +105,13 @@ impl SampleHeader {
         };
     }
 
-    /// How long the body is, a claim, and what the sample is.
+    /// The length of the body, which is untrusted, and the kind of the sample.
     pub(crate) fn body(&self) -> (usize, SampleKind) {
         let is_message = self.encapsulation == ENCAPSULATION;
         (self.len_bytes as usize, if is_message { SampleKind::Message } else { SampleKind::NoAnswer })
     }
 
-    /// What identifies the message in a trace; `port` sent it, `address` is its body's.
+    /// The identity of the message in a trace; `port` sent it, and `address` is that of its body.
     pub(crate) fn trace_id(&self, port: Gid, address: usize) -> tautline_trace::MessageId {
         tautline_trace::MessageId {
             sequence_number: self.sequence_number,

@@ -3,8 +3,8 @@
 //!
 //! Samples of one size lie in a segment, which is part of the participant's file; a publisher gets more segments when more or larger
 //! samples are needed. Each sample has a reference count: its loan, each subscription that it was sent to, and the history of a
-//! publisher that keeps samples for late joiners each hold a reference. A sample without a reference is free. What the publishing thread
-//! frees goes into its [list](FreeList); what setup code frees that thread finds by the count, when its list is empty.
+//! publisher that keeps samples for late joiners each hold a reference. A sample without a reference is free. The publishing thread
+//! adds samples that it frees to its [list](FreeList); it finds those that setup code frees by their count, when its list is empty.
 
 use crate::memory::free_list::FreeList;
 use crate::memory::header::{HEADER_BYTES, SampleHeader};
@@ -18,13 +18,13 @@ use std::sync::Arc;
 use tautline_rt::fetch_to_write;
 use tautline_rt::shm::Mapping;
 
-/// Segments of a publisher at most: what [`PointerOffset`] can tell apart, and fits into a publisher's head.
+/// Maximum number of segments of a publisher: [`PointerOffset`] can distinguish them, and they fit into a publisher's head.
 pub(crate) const SEGMENTS: usize = 64;
-/// Samples of a segment at most: what a [word](Segment::word) can tell apart.
+/// Maximum number of samples of a segment: a [word](Segment::word) can distinguish them.
 pub(crate) const MAX_SAMPLES: usize = 1 << INDEX_BITS;
 const INDEX_BITS: u32 = 24;
 
-/// A segment of this process's.
+/// A segment of a publisher of this process.
 pub(crate) struct Segment {
     id: u8,
     pub(crate) range: Range,
@@ -36,7 +36,7 @@ pub(crate) struct Segment {
     references: Box<[References]>,
 }
 
-/// Where a sample lies, as it goes through a queue. From another process: a claim.
+/// The position of a sample, as it is passed through a queue. From another process, it is untrusted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct ChunkOffset {
     pub(crate) segment: usize,
@@ -94,12 +94,12 @@ impl Segment {
         self.first + index
     }
 
-    /// What a [`FreeList`] knows a sample by.
+    /// The word for a sample in a [`FreeList`].
     fn word(&self, index: usize) -> u32 {
         u32::from(self.id) << INDEX_BITS | index as u32
     }
 
-    /// One more reference to a sample that has some.
+    /// Adds a reference to a sample that has at least one.
     ///
     /// # Real-time
     /// Wait-free; no syscall.
@@ -109,13 +109,13 @@ impl Segment {
         }
     }
 
-    /// One more reference to a sample, if it has any: it is not free then. For who has none of its own.
+    /// Adds a reference to a sample unless it is free, for a caller that has none. Returns whether it was added.
     pub(crate) fn pin(&self, index: usize) -> bool {
         self.references.get(index).is_some_and(References::pin)
     }
 
-    /// One reference less: with the last one the sample is free. True if it was that; for setup code, and for samples of a size that is
-    /// not loaned any more. The publishing thread calls [`Pool::release`].
+    /// Releases a reference. Returns whether it was the last one, with which the sample is free. For setup code, and for samples of a
+    /// size that is not loaned any more. The publishing thread calls [`Pool::release`].
     ///
     /// # Real-time
     /// Wait-free; no syscall.
@@ -145,7 +145,7 @@ impl Segment {
     }
 }
 
-/// All segments of a publisher, by their ids. The publishing thread's has the list of free samples, setup code's has none.
+/// All segments of a publisher, by their ids. The publishing thread's pool has the list of free samples, that of setup code has none.
 #[derive(Default)]
 pub(crate) struct Pool {
     segments: Vec<Option<Arc<Segment>>>,
@@ -172,8 +172,8 @@ impl Pool {
         }
     }
 
-    /// An id that no segment has, and that none had for long: a subscription that has not been told yet that a segment has gone
-    /// would look there for the samples of the one that has its id.
+    /// An id that no segment has, and that was unused for as long as possible: a subscription that has not noticed yet that a segment
+    /// was removed would look there for the samples of the new segment with its id.
     pub(crate) fn next_id(&self) -> Option<usize> {
         let mut ids = (self.next..SEGMENTS).chain(0..self.next);
         ids.find(|id| self.segments.get(*id).is_none_or(Option::is_none))
@@ -194,7 +194,7 @@ impl Pool {
         self.segments().map(|segment| segment.end()).max().unwrap_or(0)
     }
 
-    /// The segment and the index of a sample that came back through a queue. `None`: it is none of this publisher's.
+    /// The segment and the index of a sample that came back through a queue. `None`: it is not one of this publisher's.
     ///
     /// # Real-time
     /// Wait-free; no syscall.
@@ -205,7 +205,7 @@ impl Pool {
         (index < segment.samples).then_some((segment, index))
     }
 
-    /// The same segments for the publishing thread, which loans samples of this size, and uses so many of the free ones in turn.
+    /// A pool of the same segments for the publishing thread, which loans samples of this size, and uses `in_turn` free ones in turn.
     pub(crate) fn for_publishing(&self, sample_bytes: usize, in_turn: usize) -> Self {
         let free = Some(FreeList::new(self.samples(sample_bytes), in_turn));
         Pool { segments: self.segments.clone(), next: self.next, free, sample_bytes }
@@ -223,7 +223,7 @@ impl Pool {
         }
     }
 
-    /// Takes a sample of the list, with one reference.
+    /// Takes a sample from the list, with one reference.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
@@ -235,7 +235,7 @@ impl Pool {
         Some((segment, index))
     }
 
-    /// Has the cache fetch what is written first of the sample that is taken next, while its reader does not use it any more and the
+    /// Prefetches the cache lines of the next sample that are written first, while its former reader does not use it any more and the
     /// publisher does something else.
     ///
     /// # Real-time
@@ -249,7 +249,7 @@ impl Pool {
         fetch_to_write(unsafe { header.byte_add(HEADER_BYTES) });
     }
 
-    /// One reference less to a sample. With the last one the sample is free, and is listed if this is the publishing thread's.
+    /// Releases a reference to a sample. With the last one the sample is free, and is listed if this is the publishing thread's pool.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
@@ -262,7 +262,7 @@ impl Pool {
         }
     }
 
-    /// One reference less to the sample with this number.
+    /// Releases a reference to the sample with this number.
     pub(crate) fn release_number(&self, number: usize) {
         let has_it = |segment: &&Arc<Segment>| (segment.first..segment.end()).contains(&number);
         if let Some(segment) = self.segments().find(has_it) {
@@ -276,7 +276,7 @@ impl Pool {
 pub(crate) struct SegmentView {
     pub(crate) map: Arc<Mapping>,
     pub(crate) sample_bytes: usize,
-    /// Where it lies in the publisher's file: its id may be another's later.
+    /// Its position in the publisher's file. Its id may be that of another segment later.
     pub(crate) place: u64,
 }
 

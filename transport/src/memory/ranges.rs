@@ -16,10 +16,10 @@ impl Range {
     }
 }
 
-/// Hands parts out and takes them back: the first that is long enough, and neighbours become one.
+/// A first-fit allocator of parts, which joins adjacent free parts.
 #[derive(Debug)]
 pub(crate) struct Ranges {
-    /// Lengths by offset; no two of them touch.
+    /// The lengths of free parts by their offsets; no two of them are adjacent.
     free: BTreeMap<u64, u64>,
     granularity: u64,
 }
@@ -39,7 +39,7 @@ impl Ranges {
         Some(self.cut(offset, free, Range { offset, len }))
     }
 
-    /// As [`take`](Self::take), but the last part that is long enough, and of that its end.
+    /// As [`take`](Self::take), but takes the end of the last free part that is long enough.
     pub(crate) fn take_last(&mut self, len: u64) -> Option<Range> {
         let len = len.max(1).checked_next_multiple_of(self.granularity)?;
         let (&offset, &free) = self.free.iter().rev().find(|(_, free)| **free >= len)?;
@@ -54,7 +54,7 @@ impl Ranges {
         part
     }
 
-    /// What was taken is free again.
+    /// Frees a part that was taken.
     pub(crate) fn give_back(&mut self, range: Range) {
         if range.len == 0 {
             return;

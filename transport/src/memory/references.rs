@@ -1,41 +1,41 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How many refer to a sample: its loan, each subscription that it was sent to, and what keeps it for late joiners.
+//! Counts the references to a sample: of its loan, of each subscription that it was sent to, and of the history for late joiners.
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
 use crate::sync::{AtomicU32, Ordering};
 
-/// The number of references to one sample. All functions are wait-free but [`pin`](Self::pin), which is lock-free: another reference that
-/// comes or goes meanwhile makes it try again.
+/// The number of references to one sample. All functions are wait-free except [`pin`](Self::pin), which is lock-free: it tries again
+/// if another reference is added or released meanwhile.
 pub(crate) struct References(AtomicU32);
 
 impl References {
-    /// Of a free sample.
+    /// The count of a free sample.
     pub(crate) fn none() -> Self {
         References(AtomicU32::new(0))
     }
 
-    /// The first one, of who has taken a free sample.
+    /// Sets the first reference, that of the thread which has taken a free sample.
     pub(crate) fn begin(&self) {
-        // Release: pairs with the Acquire in `pin`. Who pins this use of the sample sees that the former one is over, for example
-        // that the sample is not kept any more.
+        // Release: pairs with the Acquire in `pin`. A thread that pins this use of the sample sees that the former use is over, for
+        // example that the sample is not kept any more.
         self.0.store(1, Ordering::Release);
     }
 
-    /// One more, for who has one.
+    /// Adds a reference, for a caller that has one.
     pub(crate) fn add(&self) {
         self.0.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// One more, if there is any: the sample is not free then. For who has none of its own.
+    /// Adds a reference unless the sample is free, for a caller that has none. Returns whether it was added.
     pub(crate) fn pin(&self) -> bool {
         let more = |count: u32| (count != 0).then(|| count + 1);
         self.0.fetch_update(Ordering::Acquire, Ordering::Relaxed, more).is_ok()
     }
 
-    /// One less. True if it was the last one: then the sample is to be given back.
+    /// Releases a reference. Returns whether it was the last one: then the sample is to be given back.
     pub(crate) fn release(&self) -> bool {
-        // Release, and Acquire for the last one: what others did with the sample is over before it is taken again.
+        // Release, and Acquire for the last one: the other holders' use of the sample is over before it is taken again.
         self.0.fetch_sub(1, Ordering::AcqRel) == 1
     }
 

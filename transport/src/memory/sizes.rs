@@ -7,22 +7,22 @@ use tautline_rt::Caches;
 
 /// Samples start at multiples of this.
 pub(crate) const SAMPLE_ALIGNMENT: usize = 64;
-/// Shorter samples fit into any cache beside each other: of them the one that was freed last is used first.
+/// Many shorter samples fit into any cache: of these, the sample that was freed last is used first.
 const LEAST_IN_TURN: usize = 16 << 10;
 /// Bodies are CDR, whose alignment is at most 8.
 pub(crate) const BODY_ALIGNMENT: usize = 8;
 
-/// The payload that holds a body of `len_bytes`, which is at most [`Limits::MAX_MESSAGE_BYTES`].
+/// Bytes of the payload that holds a body of `len_bytes`, which is at most [`Limits::MAX_MESSAGE_BYTES`].
 pub(crate) fn padded(len_bytes: usize) -> usize {
     len_bytes.max(1).next_multiple_of(BODY_ALIGNMENT)
 }
 
-/// What a sample with a body of `len_bytes` takes.
+/// Bytes of a sample with a body of `len_bytes`.
 pub(crate) fn sample_bytes(len_bytes: usize) -> usize {
     (HEADER_BYTES + padded(len_bytes)).next_multiple_of(SAMPLE_ALIGNMENT)
 }
 
-/// The samples of a publisher whose memory was grown for a body of `len_bytes`: a power of two.
+/// Bytes of a sample after the memory of its publisher was grown for a body of `len_bytes`: a power of two.
 pub(crate) fn grown_sample_bytes(len_bytes: usize) -> usize {
     sample_bytes(len_bytes).next_power_of_two()
 }
@@ -30,18 +30,18 @@ pub(crate) fn grown_sample_bytes(len_bytes: usize) -> usize {
 /// What the subscriptions of a publisher require of its memory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Demand {
-    /// The greatest depth, and what is kept for late joiners.
+    /// The greatest depth of the subscriptions and of the history for late joiners.
     pub(crate) depth: usize,
-    /// What all of them may hold.
+    /// Samples that all subscriptions together may hold.
     pub(crate) held: usize,
-    /// What is kept for late joiners.
+    /// Samples that are kept for late joiners.
     pub(crate) kept: usize,
-    /// Of responses, which each go to one client: the greatest depth of those that look on, and get all.
+    /// For responses, which each go to one client: the greatest depth of the observers, which get all responses.
     pub(crate) observed: usize,
 }
 
 impl Demand {
-    /// Whatever subscriptions there are.
+    /// The demand of a publisher with this QoS, before its subscriptions are added.
     pub(crate) fn of_publisher(qos: &Qos) -> Self {
         let kept = if qos.durability == Durability::TransientLocal { qos.depth } else { 0 };
         Demand { depth: kept, kept, ..Demand::default() }
@@ -66,9 +66,9 @@ impl Demand {
     }
 }
 
-/// How many samples of a publisher are used in turn, in the order in which they are freed: as few as take until then to leave the caches
-/// of the two cores that touched them. Of the cache that these share, others have their parts: more samples in turn would have to be fetched
-/// from memory.
+/// How many samples of a publisher are used in turn, in the order in which they are freed: so few that each has just left the caches of
+/// the two cores that touched it when it is used again. The cache that these cores share also serves others: with more samples in turn,
+/// samples would have to be fetched from memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Window {
     bytes: usize,
@@ -79,7 +79,7 @@ impl Window {
         Window::of(Caches::of_machine())
     }
 
-    /// Both caches twice, or a quarter of the one that is shared if that is less; nothing if even both have no room there.
+    /// Twice the L2 caches of both cores, or a quarter of the shared L3 cache if that is less; 0 if that quarter is not larger than both.
     fn of(Caches { l2_bytes, l3_bytes }: Caches) -> Self {
         Window { bytes: if l3_bytes / 4 > 2 * l2_bytes { (4 * l2_bytes).min(l3_bytes / 4) } else { 0 } }
     }
@@ -117,7 +117,7 @@ pub struct TopicMemory {
 }
 
 /// The memory of one publisher of messages of `body_bytes` that offers `qos`, with `subscriptions` subscriptions of depth `depth` at
-/// most, each of which may hold `limits.held` samples. Spare samples are counted by the caches of the machine that computes this.
+/// most, each of which may hold `limits.held` samples. The number of spare samples depends on the caches of this machine.
 ///
 /// For a type without a fixed size `body_bytes` is the largest message, and `limits.message_bytes` is at least that. If it
 /// is not, the size of a sample doubles until a larger message fits, in a new segment with the same number of samples; the

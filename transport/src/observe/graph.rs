@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a participant reads of its domain: the whole graph, parts of it, and when it changes.
+//! How a participant reads its domain: the whole graph, parts of it, and changes.
 
 use crate::error::TransportError;
 use crate::graph::entities::{EndpointKind, GraphSnapshot, NodeName, ServiceEndpoint, TopicEndpoint};
@@ -29,7 +29,7 @@ impl Participant {
     /// Not for real-time threads: waits for a lock, maps files, allocates.
     ///
     /// # Errors
-    /// [`TransportError`]: the system refuses to map another participant's record, at the limit of open files for one. A record that
+    /// [`TransportError`]: the system refuses to map another participant's record, for example at the limit of open files. A record that
     /// is damaged or of another version is skipped, and logged once.
     pub fn graph(&self) -> Result<Arc<GraphSnapshot>, TransportError> {
         self.check_process()?;
@@ -92,7 +92,7 @@ impl Participant {
     }
 
     /// A number that changes when a node, publisher, subscription, service or client of the domain appears or disappears.
-    /// Read it before [`graph`](Self::graph): if it is the same later, so is the graph.
+    /// Read it before [`graph`](Self::graph): while it is unchanged, so is the graph.
     ///
     /// # Real-time
     /// Wait-free; no syscall.

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Observe: looking at a domain, at a publisher or at a subscription without taking part.
+//! Observe: reads a domain, a publisher or a subscription without taking part.
 //!
 //! In: a domain's number ([`visitor`], [`recorder`]), a participant ([`graph`]), a publisher or a subscription ([`monitor`], [`traced`]).
 //! Out: the graph and its changes, counts, deaths, QoS events, trace events of mirrors.
-//! Who may touch it: users and tools. It reads what the rooms below maintain; none of them knows it, and nothing waits for it.
+//! Who may touch it: users and tools. It reads state that the modules below maintain; they do not depend on it, and nothing waits for it.
 
 pub(crate) mod graph;
 pub(crate) mod monitor;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Starting a recording, and having the participants of a domain look.
+//! Starts a recording, and makes the participants of a domain check whether there is something to do.
 
 use crate::error::TransportError;
 use crate::graph::domain::{Domain, check_domain};

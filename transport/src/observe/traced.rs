@@ -21,7 +21,7 @@ impl TracedSender {
         TracedSender(tautline_trace::sender_init(topic, gid.words()))
     }
 
-    /// The sample that came through the port `from`, with its number in that port, is sent as number
+    /// Describes a sample that came through the port `from`, with its number in that port, and is sent as number
     /// `sequence_number`.
     ///
     /// # Real-time
@@ -55,7 +55,7 @@ impl TracedSample {
 pub struct TracedPort(ObjectId);
 
 impl RawPublisher {
-    /// For a mirror that publishes through this port, and records in a trace what it has received.
+    /// This port as an object in traces, for a mirror that records which messages it has received.
     pub fn traced(&self) -> TracedPort {
         TracedPort(self.trace_id())
     }

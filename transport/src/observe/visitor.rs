@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Reading a domain without joining it.
+//! Reads a domain without joining it.
 
 use crate::error::TransportError;
 use crate::graph::domain::{Domain, check_domain};
@@ -25,12 +25,12 @@ use std::time::{Duration, Instant};
 /// ```
 pub struct Visitor {
     number: u32,
-    /// `None`: it does not exist yet.
+    /// `None`: the domain does not exist yet.
     domain: Option<Arc<Domain>>,
     model: Model,
     /// When it was last checked which processes are alive.
     looked: Instant,
-    /// Of requested publishers.
+    /// The memory of publishers that [`sent`](Self::sent) or [`overwritten`](Self::overwritten) was called for.
     views: HashMap<Gid, View>,
 }
 
@@ -48,7 +48,7 @@ impl Visitor {
         Ok(Visitor { number: domain, domain: None, model, looked: Instant::now(), views })
     }
 
-    /// Everything that exists there now. If nothing has changed since the last call, returns the same snapshot after
+    /// Everything that exists in the domain now. If nothing has changed since the last call, returns the same snapshot after
     /// one check.
     ///
     /// # Errors
@@ -77,12 +77,12 @@ impl Visitor {
     pub fn left_out(&self) -> Vec<TransportError> {
         let Some(domain) = &self.domain else { return Vec::new() };
         let number = domain.number();
-        let living = domain.members().filter(|member| Peer::lives(number, member.id));
+        let living = domain.members().filter(|member| Peer::is_alive(number, member.id));
         living.filter_map(|member| Peer::open(number, member.id).err()).collect()
     }
 
-    /// What a publisher of this host has sent, by its own count. `None`: it has ended, or is elsewhere. Call
-    /// [`graph`](Self::graph) first.
+    /// What a publisher of this host has sent, by its own count. `None`: it has ended, or is on another host.
+    /// Call [`graph`](Self::graph) first.
     ///
     /// # Errors
     /// The system refuses to map its memory.
@@ -104,14 +104,14 @@ impl Visitor {
         let maps = maps.collect::<Result<Vec<_>, TransportError>>()?;
         let Some(view) = self.views.get_mut(&gid) else { return Ok(Vec::new()) };
         for (range, map) in maps {
-            // What has gone meanwhile has no connections.
+            // A publisher that has ended meanwhile has no connections.
             let Some(map) = map else { return Ok(Vec::new()) };
             view.add(range, map);
         }
         let count = |connection: &Connection| {
             let subscription = connection.subscription();
             let count = connection.block().out.overwritten.load(Ordering::Acquire);
-            // The place may have become another's.
+            // The place may be in use for another subscription by now.
             (connection.subscription() == subscription).then_some((subscription, count))
         };
         Ok(view.connections().iter().filter_map(count).collect())
@@ -132,7 +132,7 @@ impl Visitor {
     }
 }
 
-/// How often it is looked who has died.
+/// Interval of checks which processes have died.
 const LIFE: Duration = Duration::from_millis(500);
 
 /// What exists in a domain now: see [`Visitor::graph`].

@@ -25,7 +25,7 @@ use tautline_rt::{LatestReader, PiMutex};
 /// may be in any thread.
 pub struct RawClient {
     pub(super) state: Arc<ClientState>,
-    /// Of the last request.
+    /// The number of the last request.
     pub(super) sequence_number: Cell<u64>,
 }
 
@@ -33,7 +33,7 @@ pub struct RawClient {
 #[must_use = "the response is lost unless it is awaited"]
 pub struct RawPending {
     pub(super) state: Arc<ClientState>,
-    /// The place in the table, until that is given back.
+    /// The place in the table, until it is released.
     pub(super) place: Option<usize>,
     pub(super) sequence_number: u64,
 }
@@ -51,11 +51,11 @@ impl<L> From<SendError<L, ServiceError>> for ServiceError {
     }
 }
 
-/// What a client and its pending requests share; it lives as long as one of them.
+/// State that a client and its pending requests share. It lives as long as one of them.
 pub(super) struct ClientState {
     pub(super) service: Arc<str>,
     pub(super) publisher: OfClient<RawPublisher>,
-    /// Threads of several priorities may wait for answers: whoever looks into it has the highest of them meanwhile.
+    /// Threads of several priorities may wait for responses: the thread that holds the lock inherits the highest of them.
     pub(super) inbox: PiMutex<Inbox>,
     pub(super) table: PendingTable,
     /// Wakes every task that waits.
@@ -67,11 +67,11 @@ pub(super) struct Inbox {
     pub(super) servers: Servers,
 }
 
-/// A part that only the client uses, though its pending requests keep it alive.
+/// A part that only the client uses, although pending requests also keep it alive.
 pub(super) struct OfClient<T>(T);
 
-// SAFETY: `get` is called through a RawClient, which is not Sync and not Clone: by one thread at a time. `OfClient<RawPublisher>`
-// gives others its slot only, which is Sync. Dropping it is the last owner's.
+// SAFETY: `get` is called through a RawClient, which is not Sync and not Clone: by one thread at a time. Other threads access only
+// the slot of an `OfClient<RawPublisher>`, which is Sync. Only the last owner drops it.
 unsafe impl<T: Send> Sync for OfClient<T> {}
 
 impl<T> OfClient<T> {
@@ -81,7 +81,7 @@ impl<T> OfClient<T> {
 }
 
 impl OfClient<RawPublisher> {
-    /// Rung when servers appear or go.
+    /// The slot that is rung when servers appear or disappear.
     pub(super) fn slot(&self) -> &Slot {
         self.0.slot()
     }
@@ -96,11 +96,11 @@ pub(super) struct Servers {
     is_first: bool,
     known: Vec<KnownServer>,
     next: u32,
-    /// The servers that have disappeared and those that exist, since the last query.
+    /// The bits of the servers that have disappeared since the last [`take_change`](Self::take_change), and of those that exist.
     change: Option<(u64, u64)>,
 }
 
-/// A server by both of its endpoints.
+/// A server, identified by both of its endpoints.
 #[derive(Clone, Copy)]
 struct KnownServer {
     asked: Gid,
@@ -113,12 +113,12 @@ impl Servers {
         asked: LatestReader<Arc<EndpointList>>,
         answering: LatestReader<Arc<EndpointList>>,
     ) -> Self {
-        // As many as there are bits.
+        // Room for as many servers as there are bits.
         let known = Vec::with_capacity(u64::BITS as usize);
         Servers { asked, answering, is_first: true, known, next: 0, change: None }
     }
 
-    /// Notes which servers there are.
+    /// Updates the known servers.
     ///
     /// # Real-time
     /// Two loads if nothing changed, else O(servers x log servers); no allocation; no syscall.
@@ -143,8 +143,8 @@ impl Servers {
         for endpoint in answering.endpoints.iter().filter(|endpoint| endpoint.mismatch.is_none()) {
             let Some(partner) = endpoint.partner else { continue };
             let server = Gid::of(endpoint.gid.participant(), partner);
-            // One that went a moment ago keeps its bit until requests have lost it. More servers than bits answer, too, but nobody
-            // waits for them alone.
+            // A server that disappeared keeps its bit until `take_change`, after which requests no longer wait for it. Servers beyond
+            // the number of bits answer, too, but no request waits for them alone.
             let used = alive | gone;
             let is_known = self.known.iter().any(|known| known.answering == endpoint.gid);
             if !is_known && used != u64::MAX && is_there(asked, &server) {
@@ -164,13 +164,13 @@ impl Servers {
         self.known.len()
     }
 
-    /// The bits of the servers that went, and of all that are there, if that changed.
+    /// The bits of the servers that disappeared since the last call, and of those that exist, if anything changed.
     pub(super) fn take_change(&mut self) -> Option<(u64, u64)> {
         self.change.take()
     }
 }
 
-/// The endpoints of a client's two topics, and the servers at their other side.
+/// The endpoints of a client's two topics, and the servers that they are connected to.
 pub(super) struct ClientEndpoints {
     pub(super) publisher: RawPublisher,
     pub(super) responses: RawSubscription,
@@ -178,7 +178,7 @@ pub(super) struct ClientEndpoints {
 }
 
 impl ClientEndpoints {
-    /// `depth` responses of each server can wait.
+    /// Creates the endpoints. Up to `depth` responses of each server are queued.
     pub(super) fn create(
         participant: &Participant,
         service: &str,
@@ -191,7 +191,7 @@ impl ClientEndpoints {
         let number = Some(participant.state.record.number());
         let qos = Qos::keep_all(depth);
         let role = SubscriptionRole { partner: number, ..SubscriptionRole::default() };
-        // First: whoever gets a request can answer it.
+        // Created first, so that every server that gets a request can respond.
         let responses = RawSubscription::create(
             participant,
             &responses,
@@ -253,7 +253,7 @@ impl RawClient {
         &self.state.service
     }
 
-    /// This client's identifier: that of its requests' publisher.
+    /// This client's identifier: the GID of its publisher of requests.
     pub fn gid(&self) -> Gid {
         self.state.publisher.get().gid()
     }

@@ -19,7 +19,7 @@ use core::pin::Pin;
 use core::task::{Context, Poll};
 use tautline_rt::clock::wall_ns;
 
-/// Responses that one collection takes at most: a server that sends without being asked must not keep a thread busy.
+/// Maximum of responses that one collection takes: a server that sends unrequested responses must not keep a thread busy.
 const COLLECTED_AT_ONCE: usize = RESPONSES_DEPTH;
 
 impl RawClient {
@@ -54,7 +54,7 @@ impl RawClient {
         request: RawLoan<'c>,
     ) -> Result<RawPending, SendError<RawLoan<'c>, ServiceError>> {
         let state = &self.state;
-        // What came in makes room for what comes next.
+        // Taking the responses that have arrived makes room for further ones.
         state.collect();
         let service = || state.service.clone();
         let unsent = |error, loan| Err(SendError { error, loan });
@@ -67,7 +67,7 @@ impl RawClient {
         let sequence_number = self.sequence_number.get() + 1;
         self.sequence_number.set(sequence_number);
         state.table.arm(place, sequence_number);
-        // Whoever waits with more requests is woken when there is room: `collect` has registered.
+        // Tasks that wait with further requests are woken when there is room: `collect` has registered the waker.
         let stamp = Stamp::OfRequest(stamped(sequence_number, self.gid()));
         let sending = Sending { stamp, when_full: WhenFull::Ask, kind: SampleKind::Message, to: None };
         if let Err(unpublished) = request.publish_with(sending) {
@@ -83,7 +83,7 @@ impl RawClient {
     }
 }
 
-/// What a request and its response say of themselves.
+/// The message info of a request and of its response.
 pub(super) fn stamped(sequence_number: u64, client: Gid) -> MessageInfo {
     MessageInfo { sequence_number, source_timestamp_ns: wall_ns(), released_ns: 0, publisher_gid: client }
 }
@@ -93,7 +93,7 @@ impl ClientState {
         ServiceError::Loan { service: self.service.clone(), source }
     }
 
-    /// Takes the responses that are there, for whoever waits for them, and notes servers that appeared or went.
+    /// Takes the responses that have arrived, for the tasks that wait for them, and notes servers that appeared or disappeared.
     ///
     /// # Real-time
     /// O(responses x pending requests), and O(servers) when they have appeared or gone; no allocation; a syscall for each task whose
@@ -102,20 +102,20 @@ impl ClientState {
         let mut inbox = self.inbox.lock();
         let Inbox { responses, servers } = &mut *inbox;
         self.publisher.slot().waker().register(&self.waker);
-        // Before the responses: what a server sent before it went is in the queue by then.
+        // Before the responses: those that a server sent before it disappeared are in the queue by then.
         servers.update();
         let mut context = Context::from_waker(&self.waker);
         for _ in 0..COLLECTED_AT_ONCE {
             let mut budget = PollBudget::new();
             let Poll::Ready(Some(response)) = responses.poll_within(&mut context, &mut budget) else {
-                // Else there may be more, also of servers that went, and the waker is called for it.
+                // With a spent budget there may be more responses, also of servers that disappeared, and the waker is called for them.
                 if !budget.is_spent()
                     && let Some((gone, alive)) = servers.take_change()
                 {
                     self.table.servers_changed(gone, alive);
                 }
                 if responses.has_ended() {
-                    // With its node.
+                    // The client's node has ended.
                     self.table.end();
                 }
                 return;
@@ -130,10 +130,10 @@ impl ClientState {
         self.waker.wake_by_ref();
     }
 
-    /// The outcome of what waits in `place`, which is then free.
+    /// Polls for the outcome of the request or wait in `place`. Frees the place when it returns the outcome.
     fn poll_outcome(&self, place: &mut Option<usize>, context: &mut Context<'_>) -> Poll<Outcome> {
         let Some(index) = *place else { return Poll::Pending };
-        // Registered before the look: whoever puts something there after it wakes this task.
+        // Registered before the check: a thread that stores an outcome after it wakes this task.
         self.table.register(index, context.waker());
         self.collect();
         match self.table.take(index) {

@@ -11,7 +11,7 @@
 //! fails with [`ServiceError::ServerGone`](error::ServiceError::ServerGone).
 //!
 //! In: requests and responses, as bytes or typed ([`typed`]). Out: each response once, to the task that waits for it ([`pending`]).
-//! Who may touch it: one thread at a time uses a client or a server; this room uses topics, and no other room uses it.
+//! Who may touch it: one thread at a time uses a client or a server. This module uses topics, and no other module uses it.
 
 pub(crate) mod client;
 pub(crate) mod error;

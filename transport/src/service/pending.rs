@@ -5,7 +5,7 @@
 //!          claim          arm             answer, fail           put             take (future)
 //!    free -------> claimed ----> waiting ---------------> writing ----> done ----------------> free
 //!      ^                            |                        |
-//!      +--- release (dropped) ------+    release (dropped)   +----> abandoned ----> free (who was writing)
+//!      +--- release (dropped) ------+    release (dropped)   +----> abandoned ----> free (by the writer)
 //! ```
 //!
 //! The state of a table entry contains the number of its pending request. No other request of the client has this number.
@@ -25,7 +25,7 @@ use std::task::Wake;
 /// bits in a word.
 pub const MAX_PENDING_REQUESTS: usize = 64;
 
-/// Fewer in the model, which looks at every interleaving.
+/// Fewer in the loom model, which checks every interleaving.
 const PLACES: usize = if cfg!(taut_loom) { 2 } else { MAX_PENDING_REQUESTS };
 
 #[derive(Debug)]
@@ -46,13 +46,13 @@ const WRITING: u64 = 3;
 const DONE: u64 = 4;
 const ABANDONED: u64 = 5;
 
-/// The state of a place that waits for the answer to this request; 0 waits for a server. `None`: no request has that number.
+/// The state of a place that waits for the response to this request, or with 0 for a server. `None`: no request has that number.
 fn waiting(sequence_number: u64) -> Option<u64> {
     let number = sequence_number.checked_mul(PHASE + 1)?;
     Some(number | WAITING)
 }
 
-fn asks(state: u64) -> bool {
+fn has_request(state: u64) -> bool {
     state > PHASE
 }
 
@@ -79,11 +79,11 @@ impl<R> Default for PendingSlot<R> {
     }
 }
 
-// SAFETY: `outcome` is touched by whoever moved `state` to `writing`, until that is `done`, and by the owner of the place
-// from then on: the atomics hand it over. An Outcome is Send.
+// SAFETY: `outcome` is accessed by the thread that moved `state` to `writing`, until `state` is `done`, and by the owner of the
+// place from then on: the transitions of `state` synchronize them. An Outcome is Send.
 unsafe impl<R: Send> Sync for PendingSlot<R> {}
 
-/// The waiting tasks. Separate from the table, so that a doorbell that holds it as a waker owns nothing else.
+/// The waiting tasks. Separate from the table, so that a doorbell that holds this as a waker owns nothing else.
 pub(crate) struct Waiters {
     occupied: AtomicU64,
     wakers: [AtomicWaker; PLACES],
@@ -154,24 +154,24 @@ impl<R> PendingTable<R> {
         Some(index)
     }
 
-    /// The request `sequence_number` is about to go to the servers there are: once it is sent, call [`sent`](Self::sent). 0 waits
-    /// for a server.
+    /// Arms a claimed place for the request `sequence_number`, which is about to be sent to the existing servers: once it is sent, call
+    /// [`sent`](Self::sent). 0 waits for a server.
     pub(crate) fn arm(&self, index: usize, sequence_number: u64) {
         let (Some(place), Some(state)) = (self.places.get(index), waiting(sequence_number)) else { return };
         place.servers.store(self.alive(), Ordering::Relaxed);
         place.state.store(state, Ordering::SeqCst);
     }
 
-    /// The request of an armed place was sent. A server that goes from now on finds it; one that went before it was armed is
-    /// noticed here.
+    /// Called once the request of an armed place was sent. Handles servers that have disappeared by now;
+    /// [`servers_changed`](Self::servers_changed) handles those that disappear later.
     pub(crate) fn sent(&self, index: usize) {
         fence(Ordering::SeqCst);
         if let Some(place) = self.places.get(index) {
-            self.lose(index, place, !self.alive());
+            self.remove_servers(index, place, !self.alive());
         }
     }
 
-    /// Looks for the outcome, after registering `waker`.
+    /// Registers the waker of the task that waits for the outcome.
     pub(crate) fn register(&self, index: usize, waker: &core::task::Waker) {
         if let Some(registered) = self.waiters.wakers.get(index) {
             registered.register(waker);
@@ -185,13 +185,13 @@ impl<R> PendingTable<R> {
         if place.state.load(Ordering::Acquire) & PHASE != DONE {
             return None;
         }
-        // SAFETY: done, so it is this place's owner's alone.
+        // SAFETY: the state is `done`, so only the place's owner accesses the outcome.
         let outcome = unsafe { (*place.outcome.get()).take() };
         self.free(index, place);
         outcome
     }
 
-    /// Whoever owns the place no longer waits.
+    /// Releases a place whose owner no longer waits.
     ///
     /// # Real-time
     /// Lock-free: a second and a third look if it is being completed right now; no allocation; no syscall.
@@ -208,7 +208,7 @@ impl<R> PendingTable<R> {
                         return;
                     }
                 }
-                // Not yet free: that would be a place of somebody else's before its bit is gone.
+                // Not yet free: another request could claim a free place before its bit in `occupied` is cleared.
                 _ => {
                     if leave(CLAIMED) {
                         return self.free(index, place);
@@ -226,38 +226,38 @@ impl<R> PendingTable<R> {
         place.state.store(FREE, Ordering::Release);
     }
 
-    /// What became of a request is known: whoever waits for it gets it. If nobody does any more, or another server was faster,
-    /// it is dropped.
+    /// Passes the outcome of a request to the task that waits for it. If no task waits any more, or another server was faster, the
+    /// outcome is dropped.
     ///
     /// # Real-time
     /// Wait-free, O(pending requests); no allocation; a syscall if the task's thread sleeps.
     pub(crate) fn answer(&self, sequence_number: u64, outcome: Outcome<R>) {
-        let Some(state) = waiting(sequence_number).filter(|&state| asks(state)) else { return };
+        let Some(state) = waiting(sequence_number).filter(|&state| has_request(state)) else { return };
         let asked = |(_, place): &(usize, &PendingSlot<R>)| place.state.load(Ordering::Relaxed) == state;
         if let Some((index, place)) = self.occupied().find(asked) {
             self.complete(index, place, state, outcome);
         }
     }
 
-    /// The servers `gone` will not answer what was not taken by now; those that are there are `alive`.
+    /// Sets the servers that exist, `alive`. Those in `gone` have disappeared, and all of their responses were taken before.
     ///
     /// # Real-time
     /// As [`answer`](Self::answer).
     pub(crate) fn servers_changed(&self, gone: u64, alive: u64) {
-        // Before the look at the requests: one that is armed after that looks here.
+        // Before the requests are checked: for a request that is armed after the check, `sent` reads it.
         self.alive.store(alive, Ordering::SeqCst);
         fence(Ordering::SeqCst);
         for (index, place) in self.occupied() {
             let state = place.state.load(Ordering::SeqCst);
-            if asks(state) {
-                self.lose(index, place, gone);
+            if has_request(state) {
+                self.remove_servers(index, place, gone);
             } else if state == WAITING && alive != 0 {
                 self.complete(index, place, state, Outcome::Available);
             }
         }
     }
 
-    /// Nobody answers any more, and no server is waited for.
+    /// Ends all requests and waits for servers: no server answers any more.
     ///
     /// # Real-time
     /// As [`answer`](Self::answer).
@@ -271,12 +271,12 @@ impl<R> PendingTable<R> {
         }
     }
 
-    fn lose(&self, index: usize, place: &PendingSlot<R>, gone: u64) {
+    fn remove_servers(&self, index: usize, place: &PendingSlot<R>, gone: u64) {
         let state = place.state.load(Ordering::SeqCst);
-        if !asks(state) || state & PHASE != WAITING {
+        if !has_request(state) || state & PHASE != WAITING {
             return;
         }
-        // Of a later request if the place changed hands since: that one does without these servers, too.
+        // If the place has been reused meanwhile, these are the servers of a later request, which cannot answer that one either.
         if place.servers.fetch_and(!gone, Ordering::SeqCst) & !gone == 0 {
             self.complete(index, place, state, Outcome::ServerGone);
         }
@@ -287,20 +287,20 @@ impl<R> PendingTable<R> {
             .filter_map(|index| Some((index, self.places.get(index)?)))
     }
 
-    /// Puts the outcome in if the place still waits as `state` says.
+    /// Stores the outcome if the place is still in `state`, and wakes the task.
     fn complete(&self, index: usize, place: &PendingSlot<R>, state: u64, outcome: Outcome<R>) {
         let writing = in_phase(state, WRITING);
         if place.state.compare_exchange(state, writing, Ordering::AcqRel, Ordering::Relaxed).is_err() {
             return;
         }
-        // SAFETY: writing, so it is this function's alone.
+        // SAFETY: the state is `writing`, so only this function accesses the outcome.
         unsafe { *place.outcome.get() = Some(outcome) };
         // Release: pairs with the Acquire in `take`.
         let done = in_phase(state, DONE);
         if place.state.compare_exchange(writing, done, Ordering::AcqRel, Ordering::Relaxed).is_ok() {
             self.waiters.wake_one(index);
         } else {
-            // SAFETY: abandoned, so it is still this function's alone.
+            // SAFETY: the state is `abandoned`, so still only this function accesses the outcome.
             drop(unsafe { (*place.outcome.get()).take() });
             self.free(index, place);
         }

@@ -75,7 +75,7 @@ impl QueuedClient {
         &self.service
     }
 
-    /// This client's identifier: that of its requests' publisher.
+    /// This client's identifier: the GID of its publisher of requests.
     pub fn gid(&self) -> Gid {
         self.publisher.gid()
     }
@@ -85,7 +85,7 @@ impl QueuedClient {
         &self.responses
     }
 
-    /// Number of servers, 64 at most: those that requests go to and whose responses come here.
+    /// Number of servers, 64 at most: those that receive this client's requests and whose responses it receives.
     ///
     /// # Real-time
     /// Two loads if nothing changed, else O(servers x log servers); no allocation; no syscall.
@@ -117,7 +117,7 @@ impl QueuedClient {
         self.publisher.loan(len_bytes).map_err(|source| self.loan_error(source))
     }
 
-    /// The number of a new request, from 1: for [`send`](Self::send), now or later.
+    /// Reserves the number of a new request, counted from 1, for a [`send`](Self::send) now or later.
     pub fn reserve(&self) -> u64 {
         let number = self.sequence_number.get() + 1;
         self.sequence_number.set(number);
@@ -165,7 +165,7 @@ impl QueuedClient {
                 Some(response) if response.kind() != SampleKind::Message => {}
                 taken => {
                     if taken.is_none() {
-                        self.responses.go_on_later(&budget);
+                        self.responses.ring_if_spent(&budget);
                     }
                     return Ok(taken);
                 }

@@ -35,7 +35,7 @@ impl RequestId {
 pub struct RawServer {
     pub(super) service: Arc<str>,
     pub(super) requests: RawSubscription,
-    /// Each goes to the subscription of one client.
+    /// Sends each response to the subscription of one client.
     pub(super) responses: RawPublisher,
 }
 
@@ -66,7 +66,7 @@ impl Participant {
         let [requests, responses] = topics(service)?;
         let (qos, role) = (Qos::keep_all(depth), SubscriptionRole::default());
         let requests = RawSubscription::create(self, &requests, &service_type.request, qos, limits, role)?;
-        // Clients count a server from when its responses reach them: they find its requests' end by this.
+        // Clients count a server once it is connected to them for responses: `partner` identifies its subscription to requests.
         let role = PublisherRole {
             is_addressed: true,
             partner: Some(requests.gid().number()),

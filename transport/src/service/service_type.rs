@@ -13,7 +13,7 @@ use tautline_msgs::{Definition, Message, Service};
 /// The type of a service, on which clients and servers must agree.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ServiceType {
-    /// The service: its name `package/srv/Name`, its hash, the size of its requests, its definition.
+    /// The service's name `package/srv/Name`, hash and definition, and the size of its requests.
     pub request: TopicType,
     /// The response message.
     pub response: TopicType,
@@ -47,9 +47,9 @@ fn definition_text(service: &str, event: &Definition) -> String {
     format!("{fields}{}\nMSG: {service}_Event\n{}", "=".repeat(80), event.to_text())
 }
 
-/// The queue of a client's responses: those that it waits for, and as many that it no longer does.
+/// Depth of a client's queue of responses: those that it waits for, and as many that it no longer waits for.
 pub(crate) const RESPONSES_DEPTH: usize = 2 * MAX_PENDING_REQUESTS;
-/// Responses that a client's user can hold besides those that nobody has looked at yet.
+/// Responses that a client's user can hold, besides those that wait in the table of pending requests.
 const HELD_RESPONSES: usize = 8;
 
 /// The limits of a client's subscription to responses.
@@ -68,8 +68,8 @@ pub(crate) fn topics(service: &str) -> Result<[String; 2], TransportError> {
 
 impl Participant {
     /// Two [observers](Self::create_observer) of a service, for a tool: of the requests that clients on this host send to servers on it,
-    /// and of the responses. A request and its response have the same [`RequestId::of`](crate::RequestId::of) their message information. At most `depth`
-    /// messages of each endpoint are queued. Lost responses are counted only when the next response is taken.
+    /// and of the responses. A request and its response have the same [`RequestId::of`](crate::RequestId::of) their message information.
+    /// At most `depth` messages of each endpoint are queued. Lost responses are counted only when the next response is taken.
     ///
     /// # Real-time
     /// Setup only.

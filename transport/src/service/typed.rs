@@ -25,14 +25,14 @@ use tautline_msgs::{Plain, Service};
 
 /// How the requests and responses of a service are written and read. Every [`Service`] is its own codec.
 pub trait ServiceCodec: Sized + 'static {
-    /// What a client sends.
+    /// The request, which a client sends.
     type Request: Codec;
-    /// What the server answers.
+    /// The response of the server.
     type Response: Codec<Invalid = <Self::Request as Codec>::Invalid>;
     /// Why a request or a response was not sent.
     type Error: From<ServiceError>;
 
-    /// What is said of a value that is no request, or no response.
+    /// The error for a value that is not a valid request or response.
     fn invalid(service: &Arc<str>, invalid: <Self::Request as Codec>::Invalid) -> Self::Error;
 }
 
@@ -46,7 +46,7 @@ impl<S: Service> ServiceCodec for S {
     }
 }
 
-/// What must be known at run time of requests or responses.
+/// The definition of requests or responses, as far as it must be known at run time.
 type Definition<T> = <T as Decode>::Definition;
 
 /// A client of a service: requests are written in place, responses are read in place.
@@ -75,7 +75,7 @@ pub struct Server<S: ServiceCodec> {
     response: Definition<S::Response>,
 }
 
-/// A request, read in place. At most `Limits::held` of one server are alive at once.
+/// A request, read in place. At most `Limits::held` requests of one server exist at once.
 pub struct Request<S: ServiceCodec> {
     message: Sample<S::Request>,
 }
@@ -230,8 +230,8 @@ impl<S: Service> Client<S> {
         &'c self,
         request: Loan<'c, S::Request>,
     ) -> Result<PendingResponse<S>, SendError<Loan<'c, S::Request>, ServiceError>> {
-        let sent = self.raw.send(request.ready());
-        sent.map(|raw| self.pending(raw)).map_err(|unsent| unsent.map(Loan::back))
+        let sent = self.raw.send(request.into_raw());
+        sent.map(|raw| self.pending(raw)).map_err(|unsent| unsent.map(Loan::from_raw))
     }
 
     /// Loans memory for a request, lets `write` write it in place, and sends it.
@@ -308,7 +308,7 @@ impl<S: ServiceCodec> Server<S> {
         taken.map(|message| message.map(|message| Request { message }))
     }
 
-    /// If there is no memory to say so its client waits on.
+    /// Notifies the client of an invalid request. If there is no memory for that, the client continues to wait.
     fn refuse(&self, invalid: MessageInfo) {
         let _ = self.raw.refuse(RequestId::of(invalid));
     }
@@ -414,8 +414,8 @@ impl<S: Service> Response<'_, S> {
     #[allow(clippy::result_large_err, reason = "it gives the response back")]
     pub fn send(self) -> Result<(), SendError<Self, ServiceError>> {
         let Response { server, id, loan } = self;
-        let unsent = server.send(id, loan.ready());
-        unsent.map_err(|unsent| unsent.map(|loan| Response { server, id, loan: Loan::back(loan) }))
+        let unsent = server.send(id, loan.into_raw());
+        unsent.map_err(|unsent| unsent.map(|loan| Response { server, id, loan: Loan::from_raw(loan) }))
     }
 }
 

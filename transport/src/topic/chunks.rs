@@ -5,15 +5,15 @@
 use crate::memory::header::Gid;
 use std::sync::Arc;
 
-/// Elements of a chunk at most.
+/// The maximum number of elements in a chunk.
 const FULL: usize = 32;
 
 pub(crate) trait Keyed: Clone {
-    /// No two elements of a list have the same.
+    /// The element's key, unique within a list.
     fn key(&self) -> Gid;
 }
 
-/// In the order of their keys, so those of a participant are next to each other.
+/// A list in the order of the keys, so that the elements of one participant are next to each other.
 #[derive(Clone)]
 pub(crate) struct Chunks<T> {
     chunks: Vec<Arc<Vec<T>>>,
@@ -35,7 +35,7 @@ impl<T> Chunks<T> {
         self.chunks.iter().flat_map(|chunk| chunk.iter())
     }
 
-    /// All of them, beginning with the one at `first` if there is one, then those before it; each with its place.
+    /// All elements, each with its position: beginning with the one at `first` if there is one, then those before it.
     ///
     /// # Real-time
     /// O(elements); no allocation; no syscall.
@@ -55,7 +55,7 @@ impl<T> Chunks<T> {
 }
 
 impl<T: Keyed> Chunks<T> {
-    /// The chunk that an element with this key is in, or would be, and its place there.
+    /// The index of the chunk that contains this key, or would contain it, and the key's position in the chunk.
     fn find(&self, key: Gid) -> (usize, Result<usize, usize>) {
         let is_before = |chunk: &Arc<Vec<T>>| chunk.last().is_some_and(|last| last.key() < key);
         let chunk = self.chunks.partition_point(is_before).min(self.chunks.len().saturating_sub(1));
@@ -68,13 +68,13 @@ impl<T: Keyed> Chunks<T> {
         self.chunks.get(chunk)?.get(place.ok()?)
     }
 
-    /// Changes an element. Copies keep what was there.
+    /// The element with this key, to be changed. Copies of the list keep the former element.
     pub(crate) fn get_mut(&mut self, key: Gid) -> Option<&mut T> {
         let (chunk, place) = self.find(key);
         Arc::make_mut(self.chunks.get_mut(chunk)?).get_mut(place.ok()?)
     }
 
-    /// Adds an element, or puts it in the place of the one with its key.
+    /// Adds an element, or replaces the one with the same key.
     pub(crate) fn insert(&mut self, element: T) {
         let (chunk, place) = self.find(element.key());
         let Some(into) = self.chunks.get_mut(chunk) else {
@@ -89,7 +89,7 @@ impl<T: Keyed> Chunks<T> {
                 elements.insert(place, element);
                 self.len += 1;
                 if elements.len() > FULL {
-                    // One that is added to at its end stays full.
+                    // A list that grows at its end keeps its chunks full.
                     let rest = elements.split_off(if place == FULL { FULL } else { FULL / 2 });
                     self.chunks.insert(chunk + 1, Arc::new(rest));
                 }

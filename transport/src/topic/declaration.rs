@@ -14,12 +14,12 @@ use crate::topic::endpoints::Mismatch;
 #[derive(Clone, Debug)]
 pub(crate) struct Topic {
     pub(crate) name: String,
-    /// What this end knows of its type.
+    /// What this endpoint knows about the topic's type.
     pub(crate) topic_type: TopicType,
 }
 
 impl Topic {
-    /// Checks what an end of a topic is to be, and keeps the definition of its type.
+    /// Checks the declaration of an endpoint, and stores the definition of its type.
     pub(crate) fn check(
         name: &str,
         topic_type: &TopicType,
@@ -37,12 +37,12 @@ impl Topic {
         topic_type.check(name)?;
         let message_bytes = topic_type.body_bytes.map_or(limits.message_bytes, |bytes| bytes.max(1));
         Limits { message_bytes, ..limits }.check(name)?;
-        // Only what its bringer knows the hash of.
+        // Stored only if the endpoint knows both the hash and the definition.
         schema_store::keep(topic_type);
         Ok(Topic { name: name.to_owned(), topic_type: topic_type.clone() })
     }
 
-    /// What it is called in what users read: that of a service's requests is the service.
+    /// The name in messages to users: for the topic of a service's requests, the service.
     pub(crate) fn named(&self) -> String {
         crate::error::named(&self.name)
     }
@@ -69,7 +69,7 @@ impl Topic {
         }
     }
 
-    /// Warns, where an endpoint is made or another one appears, that they exchange no messages.
+    /// Warns, when an endpoint is created or discovered, that two endpoints exchange no messages, and why.
     pub(crate) fn warn_of_mismatch(&self, mismatch: Mismatch, here: &str, there: &str, port: &PortRecord) {
         match mismatch {
             Mismatch::Qos(policy) => tracing::warn!(

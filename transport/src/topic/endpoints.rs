@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use tautline_rt::{LatestReader, LatestWriter, latest};
 
-/// What keeps two endpoints of a topic apart.
+/// Why two endpoints of a topic do not match.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Mismatch {
     Qos(QosPolicyKind),
@@ -26,20 +26,20 @@ pub(crate) struct Endpoint {
     /// `None`: they match.
     pub(crate) mismatch: Option<Mismatch>,
     pub(crate) qos: Qos,
-    /// It is a gateway's or a bridge's, and stands for endpoints on other hosts, which are listed themselves.
+    /// The endpoint is a gateway's or a bridge's: it stands for endpoints on other hosts, which are listed themselves.
     pub(crate) is_relay: bool,
-    /// It only looks on.
+    /// The endpoint is an observer.
     pub(crate) is_observer: bool,
-    /// On another host: its tag.
+    /// For an endpoint on another host: its tag.
     pub(crate) remote: Option<u64>,
-    /// Of the endpoint of a service that carries responses: the endpoint of the same client or server that carries requests.
+    /// For the endpoint that carries a service's responses: the number of the same client's or server's endpoint for requests.
     pub(crate) partner: Option<u64>,
-    /// Of a matched publisher that has to show that it is alive: where it does.
+    /// For a matched publisher with manual liveliness and a lease: where its assertions are read.
     pub(crate) liveliness: Option<LivelinessSource>,
 }
 
 impl Endpoint {
-    /// One of this host that matches.
+    /// A matching endpoint of this host.
     pub(crate) fn new(gid: Gid, qos: Qos) -> Self {
         let (mismatch, remote, partner, liveliness) = Default::default();
         Endpoint { gid, mismatch, qos, is_relay: false, is_observer: false, remote, partner, liveliness }
@@ -49,25 +49,25 @@ impl Endpoint {
         self.mismatch.is_none() && self.remote.is_none() && !self.is_observer
     }
 
-    /// Whether it is an endpoint of the topic itself: not one that stands for others, which are listed, nor one that only looks on.
+    /// Whether it is an endpoint of the topic itself: not one that stands for others, which are listed, and no observer.
     pub(crate) fn is_itself(&self) -> bool {
         !self.is_relay && !self.is_observer
     }
 }
 
-/// All of them in the order of their gids, as a monitor gets them.
+/// The endpoints in the order of their gids, as a monitor reads them.
 #[derive(Clone, Default)]
 pub(crate) struct EndpointList {
     pub(crate) endpoints: Vec<Endpoint>,
-    /// How many went without a word, so far.
+    /// The number of matched endpoints, so far, that disappeared without having ended.
     pub(crate) killed: u64,
 }
 
-/// The list that is kept.
+/// The endpoints as the matching code maintains them.
 #[derive(Default)]
 pub(crate) struct Endpoints {
     list: BTreeMap<Gid, Endpoint>,
-    /// Endpoints of this host.
+    /// The number of matched endpoints on this host.
     matched: usize,
     killed: u64,
     monitors: Vec<LatestWriter<Arc<EndpointList>>>,
@@ -79,7 +79,7 @@ impl Endpoints {
         self.list.contains_key(&gid)
     }
 
-    /// Adds an endpoint, or what has become of it.
+    /// Adds an endpoint, or replaces its entry.
     pub(crate) fn set(&mut self, endpoint: Endpoint) {
         self.matched += usize::from(endpoint.is_matched_here());
         let former = self.list.insert(endpoint.gid, endpoint);
@@ -87,7 +87,7 @@ impl Endpoints {
         self.has_changed = true;
     }
 
-    /// Takes an endpoint from the list. True if it matched.
+    /// Removes an endpoint. Returns whether it matched.
     pub(crate) fn remove(&mut self, gid: Gid, was_killed: bool) -> bool {
         let Some(endpoint) = self.list.remove(&gid) else { return false };
         self.has_changed = true;
@@ -97,13 +97,13 @@ impl Endpoints {
         matched
     }
 
-    /// Endpoints on other hosts, sorted, with their tags, in place of those before. Of those that are gone these have `ended` by themselves.
+    /// Replaces the endpoints on other hosts by `told`, sorted, with tags. Removed ones count as killed, unless their tags are in `ended`.
     pub(crate) fn set_remote(&mut self, told: &[(Gid, u64)], ended: &HashSet<u64>) {
         let is_told = |gid: Gid| told.binary_search_by(|(other, _)| other.cmp(&gid)).is_ok();
         let remote = self.list.values().filter_map(|endpoint| Some((endpoint.gid, endpoint.remote?)));
         let gone: Vec<_> = remote.filter(|(gid, _)| !is_told(*gid)).collect();
         for (gid, tag) in gone {
-            // Or somebody else tells of it now.
+            // It still exists if another participant announces it now.
             let lives = told.iter().any(|(_, other)| *other == tag);
             self.remove(gid, !lives && !ended.contains(&tag));
         }
@@ -114,7 +114,7 @@ impl Endpoints {
         }
     }
 
-    /// Tells monitors, if anything changed since this was last called, and says whether it did.
+    /// Updates the matched count and the monitors, if anything changed since the last call. Returns whether it did.
     pub(crate) fn notify(&mut self, matched: &AtomicUsize) -> bool {
         if !std::mem::take(&mut self.has_changed) {
             return false;
@@ -132,7 +132,7 @@ impl Endpoints {
         EndpointList { endpoints: self.list.values().cloned().collect(), killed: self.killed }
     }
 
-    /// What a new monitor reads.
+    /// Adds a monitor. Returns its end, which reads the list.
     pub(crate) fn monitor(&mut self) -> LatestReader<Arc<EndpointList>> {
         let (writer, reader) = latest(Arc::new(self.to_list()));
         self.monitors.push(writer);
@@ -160,7 +160,7 @@ impl std::fmt::Debug for MatchedCount {
     }
 }
 
-/// Where a publisher shows that it is alive.
+/// Where a publisher's assertions of its liveliness are read.
 #[derive(Clone)]
 pub(crate) struct LivelinessSource(Arc<Connection>);
 
@@ -169,7 +169,7 @@ impl LivelinessSource {
         LivelinessSource(connection)
     }
 
-    /// When it last did.
+    /// The time of the last assertion.
     pub(crate) fn alive_ns(&self) -> u64 {
         self.0.block().out.alive_ns.load(Ordering::Relaxed)
     }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Ownership of one side's half of a connection: it belongs either to the thread that publishes or takes, or to the setup
-//! code. Without a lock.
+//! Ownership of one side's half of a connection, without a lock: it belongs either to the thread that publishes or takes, or to the
+//! setup code.
 //!
 //! ```text
 //!                adopt (thread)                 finish (thread)
@@ -20,24 +20,24 @@
 
 use crate::sync::{AtomicU32, Ordering};
 
-/// The lowest bits of the word.
+/// The bits of the word that hold the phase.
 const PHASE: u32 = 0b11;
 const NEW: u32 = 0;
 const HELD: u32 = 1;
 const LIVE: u32 = 2;
 const DONE: u32 = 3;
-/// Setup wants it back for good.
+/// The setup code takes the half back for good.
 const RETIRED: u32 = 0b100;
 
-/// Who has the half.
+/// The owner of a half.
 pub(crate) struct HandOver(AtomicU32);
 
-/// What came of a [`retire`](HandOver::retire).
+/// The result of a [`retire`](HandOver::retire).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Retired {
-    /// It was not retired before.
+    /// The half was not retired before.
     pub(crate) is_first: bool,
-    /// It was setup's, which is to finish it.
+    /// The half belonged to the setup code, which must finish it.
     pub(crate) is_setups: bool,
 }
 
@@ -46,7 +46,7 @@ impl HandOver {
         HandOver(AtomicU32::new(NEW))
     }
 
-    /// Acquire: pairs with the Release of whoever hands it over.
+    /// The word. Acquire: pairs with the Release of the side that handed the half over.
     fn word(&self) -> u32 {
         self.0.load(Ordering::Acquire)
     }
@@ -55,7 +55,7 @@ impl HandOver {
         self.word() & PHASE == phase
     }
 
-    /// From one state to another, if it is in that.
+    /// Changes the state from `from` to `to`. Returns false if it is another one.
     fn transition(&self, from: u32, to: u32) -> bool {
         self.0.compare_exchange(from, to, Ordering::AcqRel, Ordering::Acquire).is_ok()
     }
@@ -65,12 +65,12 @@ impl HandOver {
         self.is_in(NEW)
     }
 
-    /// Whether it is the thread's.
+    /// Whether the half belongs to the thread.
     pub(crate) fn is_live(&self) -> bool {
         self.is_in(LIVE)
     }
 
-    /// Whether it is setup's for good.
+    /// Whether the half belongs to the setup code for good.
     pub(crate) fn is_done(&self) -> bool {
         self.is_in(DONE)
     }
@@ -79,18 +79,18 @@ impl HandOver {
         self.word() & RETIRED != 0
     }
 
-    /// Setup takes it for a moment. False: it is the thread's, or retired.
+    /// Setup: takes the half for a moment. Returns false if it belongs to the thread, or is retired.
     pub(crate) fn hold(&self) -> bool {
         self.transition(NEW, HELD)
     }
 
-    /// Setup is done with what it held.
+    /// Setup: gives back the half that it holds.
     pub(crate) fn give_back(&self) {
         let is_given = self.transition(HELD, NEW);
         debug_assert!(is_given, "setup holds it, under its lock");
     }
 
-    /// The thread takes it over for good, if it is new and wanted.
+    /// Thread: takes the half over, if it is new and not retired. Returns whether it did.
     ///
     /// # Real-time
     /// Wait-free; no syscall.
@@ -98,7 +98,7 @@ impl HandOver {
         self.word() == NEW && self.transition(NEW, LIVE)
     }
 
-    /// The thread is done with it.
+    /// Thread: returns the half to the setup code for good.
     ///
     /// # Real-time
     /// Wait-free; no syscall.
@@ -106,13 +106,13 @@ impl HandOver {
         self.0.store(DONE | RETIRED, Ordering::Release);
     }
 
-    /// Setup wants it back. If it is the thread's, that finishes it when it next finds a table.
+    /// Setup: takes the half back. If it belongs to the thread, the thread finishes it when it next finds a table.
     pub(crate) fn retire(&self) -> Retired {
         let is_first = self.0.fetch_or(RETIRED, Ordering::AcqRel) & RETIRED == 0;
         Retired { is_first, is_setups: self.transition(NEW | RETIRED, DONE | RETIRED) }
     }
 
-    /// Setup takes it back, when there is no thread any more that uses it.
+    /// Setup: takes the half back when no thread uses it any more.
     pub(crate) fn retire_finally(&self) -> Retired {
         let before = self.0.swap(DONE | RETIRED, Ordering::AcqRel);
         Retired { is_first: before & RETIRED == 0, is_setups: before & PHASE != DONE }

@@ -4,7 +4,7 @@
 //! In: messages as bytes ([`publisher`]) or typed ([`typed`]). Out: samples, read in place ([`subscription`]). Setup code ([`matching`])
 //! creates and removes connections, by the records in the graph; each side has a half for setup and a half for its thread ([`writer`],
 //! [`reader`]), which are handed over ([`hand_over`]). The [`participant`] owns all of it.
-//! Who may touch it: one thread at a time publishes or takes, without a lock; setup code holds the participant's lock.
+//! Locks: one thread at a time publishes or takes, without a lock; setup code holds the participant's lock.
 
 pub(crate) mod chunks;
 pub(crate) mod compatibility;

@@ -23,7 +23,7 @@ use tautline_rt::{AtExit, at_exit};
 #[derive(Clone)]
 pub struct Participant {
     pub(crate) state: Arc<ParticipantState>,
-    /// Whose the publishers and subscriptions are that this one creates.
+    /// The node that owns the publishers and subscriptions that are created through this handle.
     pub(crate) node: Option<Arc<NodeEntry>>,
 }
 
@@ -41,7 +41,7 @@ pub(crate) struct ParticipantState {
     membership: Membership,
     pub(crate) memory: Arc<OwnMemory>,
     pub(crate) domain: Arc<Domain>,
-    // Last: it leaves the domain, too.
+    // Last: its function holds a reference to the domain, and the process leaves the domain with the last reference.
     _at_exit: AtExit,
 }
 
@@ -56,14 +56,14 @@ struct Membership {
 
 impl Drop for Membership {
     fn drop(&mut self) {
-        // What publishers sent may be wanted by somebody who has not found it yet. Then it stays for that one, and the domain's warden
-        // cleans up after this participant as after one that was killed.
+        // A subscription may not have found yet what the publishers sent. Then the memory stays for it, and the domain's warden cleans up
+        // after this participant as after a killed one.
         if self.matcher.is_awaited() {
             return;
         }
         self.domain.remove(self.memory.id());
         if self.record.is_relay() {
-            // With it goes what it said of other hosts, which may concern anybody.
+            // The announcements of other hosts' endpoints disappear with the relay, which may concern any participant.
             self.domain.call_all();
         }
         self.memory.retire();
@@ -111,7 +111,7 @@ impl Participant {
             place,
         };
         let left = domain.clone();
-        // If others are there, one of them cleans up after this participant as after one that was killed: its threads run until then.
+        // If the domain has other participants, one of them cleans up after this one as after a killed one: its threads run until then.
         let at_exit = at_exit(move || {
             tautline_trace::leave_at_exit();
             left.leave();
@@ -179,7 +179,7 @@ impl Participant {
         Ok(self.state.doorbell.claim()?)
     }
 
-    /// Makes a node known to the domain.
+    /// Creates a node, which the other processes of the domain see.
     ///
     /// # Real-time
     /// Setup only.
@@ -242,7 +242,7 @@ impl Participant {
         self.state.matcher.set_remote(remote)
     }
 
-    /// What has this slot ends with the node that this one makes things for.
+    /// Ends the endpoint that has this slot together with this handle's node, if it has one.
     pub(crate) fn adopt(&self, slot: &Arc<Slot>) {
         if let Some(node) = &self.node {
             node.adopt(slot);
@@ -261,7 +261,7 @@ impl ParticipantState {
         self.graph_watcher.subscribe()
     }
 
-    /// Has this participant's janitor look.
+    /// Wakes this participant's janitor, which then refreshes.
     ///
     /// # Real-time
     /// Wait-free; one futex wake.

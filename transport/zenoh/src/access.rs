@@ -21,8 +21,8 @@ const MAX_EVENT_BYTES: usize = 4096;
 
 static REFUSED: Mutex<BTreeMap<String, u64>> = Mutex::new(BTreeMap::new());
 
-/// A layer for the process's `tracing` subscriber; without it [`Stats::unauthorized`](crate::Stats::unauthorized) stays empty. It
-/// enables the events of Zenoh's access control for itself only.
+/// A layer for the process's `tracing` subscriber; without the layer [`Stats::unauthorized`](crate::Stats::unauthorized) stays empty.
+/// It enables the events of Zenoh's access control for itself only.
 ///
 /// ```
 /// use tracing_subscriber::layer::SubscriberExt;
@@ -75,11 +75,11 @@ impl Write for Text {
     }
 }
 
-/// `[..] is unauthorized to Put (ingress) on 0/secret/type/hash`: the action, and the topic or key.
+/// The action, and the topic or key, of `[..] is unauthorized to Put (ingress) on 0/secret/type/hash`; `None` for other events.
 fn refusal(event: &str) -> Option<String> {
     let (_, refused) = event.split_once(" is unauthorized to ")?;
     let (action, key) = refused.split_once(" on ")?;
-    // A peer that may not see a node does not see its tokens either: the topic's own refusals suffice.
+    // A peer that may not see a node does not see its tokens either: counting the refusals of the topic itself suffices.
     if key.contains("@ros2_lv/") || key.contains(ENDED) {
         return None;
     }

@@ -150,7 +150,7 @@ impl Args {
 }
 
 impl Args {
-    /// The first match counts: the command line's rules, then the system file's.
+    /// The rules of the command line, then those of the system file: the first match counts.
     fn rules(&self) -> Result<Vec<Rule>, ArgsError> {
         let mut rules = self.urgency.iter().map(|text| text.parse()).collect::<Result<Vec<Rule>, _>>()?;
         if let Some(path) = &self.system {

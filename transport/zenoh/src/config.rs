@@ -28,13 +28,13 @@ impl Mode {
 /// Network options. Every field has a default.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Network {
-    /// `None`: the file's, else peer.
+    /// `None`: the mode of the file, else peer.
     pub mode: Option<Mode>,
-    /// Endpoints to listen on, such as `tcp/0.0.0.0:7447`. Empty: the file's, else loopback only.
+    /// Endpoints to listen on, such as `tcp/0.0.0.0:7447`. Empty: those of the file, else loopback only.
     pub listen: Vec<String>,
-    /// Endpoints to connect to, such as `tcp/host:7447`. Empty: the file's, else a router on this host.
+    /// Endpoints to connect to, such as `tcp/host:7447`. Empty: those of the file, else a router on this host.
     pub connect: Vec<String>,
-    /// A Zenoh configuration file, JSON5 or YAML. `None`: the environment's.
+    /// A Zenoh configuration file, JSON5 or YAML. `None`: the file that the environment names.
     pub file: Option<PathBuf>,
 }
 
@@ -45,11 +45,11 @@ pub const MAX_MESSAGE_BYTES: usize = 64 << 20;
 #[derive(Clone, Debug)]
 pub struct SessionConfig {
     pub(crate) zenoh: Config,
-    /// Its source.
+    /// Where the configuration comes from.
     pub source: String,
-    /// Endpoints that it listens on.
+    /// Endpoints that the session listens on.
     pub listen: Vec<String>,
-    /// Endpoints that it connects to.
+    /// Endpoints that the session connects to.
     pub connect: Vec<String>,
 }
 
@@ -162,12 +162,12 @@ impl Network {
 }
 
 impl SessionConfig {
-    /// Whether other hosts can open a link to this one.
+    /// Whether other hosts can open a link to this host.
     pub fn is_reachable(&self) -> bool {
         self.listen.iter().any(|endpoint| !is_loopback(endpoint))
     }
 
-    /// Whether other hosts that reach this one may connect without a certificate, and use topics without a rule that lets them.
+    /// Whether hosts that reach this one may connect without a certificate, and use topics without a rule that permits it.
     pub fn is_unguarded(&self) -> bool {
         let is = |key: &str, value: &str| self.zenoh.get_json(key).is_ok_and(|text| text == value);
         let denies =
@@ -184,7 +184,7 @@ impl SessionConfig {
     }
 }
 
-/// What a file states, if it is one of Zenoh's: what it leaves out is not in it.
+/// The settings that a file states, without Zenoh's defaults. Refuses a file that is not a valid Zenoh configuration.
 fn read_file(path: &Path, origin: &'static str) -> Result<Value, ConfigError> {
     let refuse = |reason| ConfigError::File { path: path.into(), origin, reason };
     Config::from_file(path).map_err(|error| refuse(error.to_string()))?;
@@ -196,7 +196,7 @@ fn read_file(path: &Path, origin: &'static str) -> Result<Value, ConfigError> {
     }
 }
 
-/// Puts what is stated in the place of the defaults, setting by setting. A value for each mode takes the place of one for all.
+/// Replaces defaults by stated settings, one by one. A stated value per mode replaces a default for all modes.
 fn merge(defaults: &mut Value, stated: Value) {
     match (defaults, stated) {
         (Value::Object(defaults), Value::Object(stated)) => {
@@ -219,15 +219,15 @@ fn config_of(settings: &Value) -> Result<Config, ConfigError> {
 
 /// rmw_zenoh's defaults: a peer without multicast that connects to a router on its own host. Different from rmw_zenoh: a router
 /// too listens on loopback only, connecting never gives up, a silent link is closed after 10 s, and the memory per peer is
-/// bounded. Queues are as long as Zenoh permits: what finds one full for a millisecond is dropped, and on a busy machine the thread that
-/// empties it may not run for longer.
+/// bounded. Queues are as long as Zenoh permits: a message that finds its queue full for a millisecond is dropped, and on a busy machine
+/// the thread that empties the queue may not run for longer than that.
 fn defaults(mode: Mode, max_message_bytes: usize) -> Value {
     let (listen, connect) = match mode {
         Mode::Peer => (json!(["tcp/localhost:0"]), json!(["tcp/localhost:7447"])),
         Mode::Client => (json!([]), json!(["tcp/localhost:7447"])),
         Mode::Router => (json!(["tcp/localhost:7447"]), json!([])),
     };
-    // The limit is for bodies; headers and attachment come on top.
+    // The limit applies to bodies; headers and attachment are added to it.
     let max_message_bytes = max_message_bytes.saturating_add(64 << 10);
     json!({
         "mode": mode.as_str(),
@@ -307,8 +307,8 @@ pub(crate) fn is_loopback(endpoint: &str) -> bool {
     host == "localhost" || host.parse().is_ok_and(|ip: std::net::IpAddr| ip.is_loopback())
 }
 
-/// Whether who connects to this endpoint must have a certificate. TLS alone asks for none: `enable_mtls` does, the endpoint's own or, without
-/// that, the configuration's.
+/// Whether a client of this endpoint must have a certificate. TLS alone does not require one: `enable_mtls` does, as set for the
+/// endpoint or else, `by_default`, in the configuration.
 fn requires_client_certificate(endpoint: &str, by_default: bool) -> bool {
     let own = endpoint.split_once('#').map_or("", |(_, own)| own);
     let own = own.split(';').find_map(|setting| setting.strip_prefix("enable_mtls="));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Exchanges types with other hosts through ROS 2's service `~/get_type_description`: requests unknown types from nodes there
-//! that publish them, and serves nodes here from the [`SchemaStore`].
+//! Exchanges types with other hosts through ROS 2's service `~/get_type_description`: requests unknown types from the nodes on
+//! other hosts that publish them, and serves the type descriptions of nodes on this host from the [`SchemaStore`].
 //!
 //! Responses are untrusted: bounded before they are stored, and stored only if their computed hash is the requested one.
 
@@ -125,7 +125,7 @@ impl Descriptions {
         *self.counts.entry(what.to_string()).or_default() += 1;
     }
 
-    /// Requests the topic's type from one of its publishers' nodes there, unless a request is pending or all nodes were asked.
+    /// Requests the topic's type from a node of one of its remote publishers, unless a request is pending or all were requested before.
     pub(crate) fn request(&mut self, session: &Session, key: &TopicKey, graph: &Graph) {
         let id = &key.type_id;
         if self.pending.get(id).is_some_and(|since| since.elapsed() < TIMEOUT) {
@@ -156,7 +156,7 @@ impl Descriptions {
         self.pending.insert(id.clone(), Instant::now());
     }
 
-    /// The type is no longer needed. A later need starts over.
+    /// Forgets the requests for a type that is no longer needed, so that a later request may go to any node again.
     pub(crate) fn forget(&mut self, id: &TypeId) {
         self.asked.retain(|(asked, _)| asked != id);
     }
@@ -190,7 +190,7 @@ impl Descriptions {
 
     /// Handles a response, and stores a valid one.
     pub(crate) fn learn(&mut self, id: &TypeId, payload: Option<&[u8]>) {
-        // Once per request, however many responses arrive.
+        // Only the first response to a request is handled.
         if self.pending.remove(id).is_none() {
             return;
         }
@@ -220,7 +220,7 @@ impl Descriptions {
         Ok(schema)
     }
 
-    /// The service of each node here that has none of its own, to be announced.
+    /// The service to announce for each local node that has no type description server of its own.
     pub(crate) fn offered<'n>(
         &self,
         nodes: impl Iterator<Item = &'n NodeName>,
@@ -233,7 +233,7 @@ impl Descriptions {
             let topic = service_of(node);
             let (kind, qos) = (EndpointKind::Service, WireQos { depth: 10, ..WireQos::default() });
             let (node, type_id) = (node.clone(), self.id.clone());
-            // A unique GID: the hash of its token.
+            // A unique GID: the hash of the endpoint's token.
             let (name, suffix) = (topic.clone(), String::new());
             let said = Endpoint { id: 0, kind, name, type_id: type_id.clone(), qos, suffix };
             let (endpoint, note) = (Some(said), String::new());
@@ -244,7 +244,7 @@ impl Descriptions {
         nodes.into_iter().map(offer).filter(|end| !is_own(&end.topic)).collect()
     }
 
-    /// The same for a server of the domain.
+    /// Whether `end`, a server of the domain, is its node's own type description server.
     pub(crate) fn answers_for(&self, end: &ServiceEndpoint) -> bool {
         let is_of_node = |node: &tautline_transport::NodeName| {
             end.name.strip_suffix(SUFFIX).is_some_and(|name| name == node.full_name())
@@ -254,7 +254,7 @@ impl Descriptions {
             && end.node.as_ref().is_some_and(is_of_node)
     }
 
-    /// Whether it is a node's own type description server.
+    /// Whether `end` is its node's own type description server.
     pub(crate) fn is_theirs(&self, end: &LocalEndpoint) -> bool {
         end.kind == EndpointKind::Service && end.type_id == self.id && end.topic == service_of(&end.node)
     }

@@ -14,13 +14,13 @@ pub(crate) enum NetworkEvent {
     TokenDown(String),
     /// A publisher of another host ended normally.
     Ended(u64),
-    /// A node there answered with this type's description; `None` if it is too long.
+    /// A remote node responded with the description of this type; `None` if the response is too long.
     Described(TypeId, Option<Vec<u8>>),
-    /// A node there requests a type from a node here.
+    /// A remote node requests a type description from a local node.
     Asked(Query),
 }
 
-/// The queue of these events.
+/// The queue of events to the control thread.
 pub(crate) type Events = mpsc::SyncSender<Event<NetworkEvent>>;
 
 /// Passes tokens from Zenoh's thread to the control thread. On overflow, all tokens are requested again later.
@@ -37,18 +37,18 @@ pub(crate) fn tokens_to(events: Events) -> impl Fn(Sample) + Send + Sync + 'stat
     }
 }
 
-/// The same for announcements of publishers' ends, except those of this session.
+/// Passes announcements of publishers' normal ends to the control thread, except those of this session.
 pub(crate) fn ends_to(events: Events, own_zid: u128) -> impl Fn(Sample) + Send + Sync + 'static {
     move |sample| {
         let said = ended_tag(sample.key_expr().as_str()).filter(|_| sample.kind() == SampleKind::Put);
         if let Some((_, tag)) = said.filter(|(zid, _)| *zid != own_zid) {
-            // On overflow it counts as a death.
+            // On overflow the end counts as a death.
             let _ = events.try_send(Event::FarChange(NetworkEvent::Ended(tag)));
         }
     }
 }
 
-/// Truncates overlong keys, which are then refused without being stored.
+/// Truncates an overlong key to more than the limit: it is then refused, and not stored in full.
 pub(crate) fn cut(key: &str) -> String {
     let mut end = key.len().min(MAX_KEY_BYTES + 1);
     while !key.is_char_boundary(end) {
@@ -57,14 +57,14 @@ pub(crate) fn cut(key: &str) -> String {
     key[..end].to_owned()
 }
 
-/// Whether an event was dropped, at any gateway of the process: one resync too many does no harm.
+/// Whether a gateway of this process dropped an event. Shared by all of them: an unnecessary resync does no harm.
 static MISSED: AtomicBool = AtomicBool::new(false);
 
 pub(crate) fn set_missed() {
     MISSED.store(true, Ordering::Relaxed);
 }
 
-/// Whether one was dropped since the last call.
+/// Whether an event was dropped since the last call.
 pub(crate) fn take_missed() -> bool {
     MISSED.swap(false, Ordering::Relaxed)
 }

@@ -98,8 +98,8 @@ impl Gateway {
         Self::spawn_while(options, lock, |_| true)
     }
 
-    /// Like [`spawn_in`](Self::spawn_in), but gives up when `go_on` returns false. It is called every 50 ms while the session opens, which
-    /// for a client takes until it has its link: without end if no router answers.
+    /// Like [`spawn_in`](Self::spawn_in), but gives up when `go_on` returns false. `go_on` is called every 50 ms while the session opens.
+    /// A client's session opens once it has its link: never, if no router answers.
     ///
     /// # Errors
     /// As [`spawn`](Self::spawn), and [`SessionError::GivenUp`].
@@ -111,7 +111,7 @@ impl Gateway {
         let config =
             options.network.session_config(|name| std::env::var(name).ok(), options.max_message_bytes)?;
         let participant = Participant::new(options.domain)?;
-        // Marks the participant as one that mirrors others, before its first port appears.
+        // Marks the participant as a mirror of remote endpoints, before its first port appears.
         participant.set_remote(&RemoteGraph::default())?;
         let policy = match options.realtime {
             Realtime::Required => Policy::Fifo(options.priority),
@@ -155,7 +155,7 @@ impl Gateway {
         let services = Services::start(&participant, services, thread("gw-services"))?;
         let descriptions = Descriptions::new(SchemaStore::of_user(), events.clone())
             .map_err(|error| GatewayError::Definitions(error.into()))?;
-        // From here on, an error ends everything that has started.
+        // From here on, an error drops the gateway, which ends all threads that have started.
         let (control, watch, guard) = (None, None, None);
         let mut gateway = Gateway { events, state, control, watch, guard, config, session, _lock: lock };
         gateway.watch = {
@@ -199,7 +199,7 @@ impl Gateway {
     /// Reads back the policies of Zenoh's threads, and corrects them.
     fn check_threads(&self, asked: Policy) -> Result<(), RtError> {
         for thread in network_threads()? {
-            // With a budget a thread may be demoted at this moment.
+            // The guard may have demoted the thread in the meantime.
             if thread.policy != asked && self.guard.as_ref().is_none_or(|guard| guard.demotions() == 0) {
                 tautline_rt::set_policy_of(thread.tid, asked)?;
             }
@@ -217,7 +217,7 @@ impl Gateway {
         self.session.info().locators().wait().iter().map(ToString::to_string).collect()
     }
 
-    /// Whether other hosts can open a link to this one, by the configuration or by what the session says that it listens on.
+    /// Whether other hosts can open a link to this host, by the configuration or by the session's listening addresses.
     pub fn is_reachable(&self) -> bool {
         self.config().is_reachable() || self.locators().iter().any(|locator| !is_loopback(locator))
     }
@@ -230,7 +230,7 @@ impl Gateway {
         network_threads()
     }
 
-    /// Statistics. Rates are those of the last second.
+    /// The current statistics. Rates are those of the last second.
     pub fn stats(&self) -> Stats {
         let mut stats = self.state.stats.lock().unwrap_or_else(PoisonError::into_inner).clone();
         stats.links = self.session.info().transports().wait().count();

@@ -20,7 +20,7 @@ const MOST_ENDED: usize = 4096;
 pub struct GraphLimits {
     /// Maximum of tokens: nodes and endpoints. 8192 by default.
     pub tokens: usize,
-    /// Maximum of tokens per session, as far as their session ids are true. 4096 by default.
+    /// Maximum of tokens per session; a token may state a false session id. 4096 by default.
     pub tokens_per_session: usize,
 }
 
@@ -35,7 +35,7 @@ pub(crate) struct Graph {
     domain: u32,
     own_zid: u128,
     limits: GraphLimits,
-    /// By key expression, by which its end is announced; with the entity.
+    /// Tokens with their entities, by key expression, which also identifies a token when it disappears.
     tokens: HashMap<String, (Token, RemoteEntity)>,
     per_session: HashMap<u128, usize>,
     /// Tags of publishers that ended normally, and when that was announced.
@@ -53,7 +53,7 @@ impl Graph {
         Graph { domain, own_zid, limits, tokens, per_session, ended, refused, is_incomplete: false }
     }
 
-    /// A token appeared. Returns whether the graph changed.
+    /// Adds a token that appeared. Returns whether the graph changed.
     pub(crate) fn insert(&mut self, key: &str) -> bool {
         let token = match Token::parse(key) {
             Ok(token) => token,
@@ -77,7 +77,7 @@ impl Graph {
         true
     }
 
-    /// A token disappeared. Returns whether the graph changed.
+    /// Removes a token that disappeared. Returns whether the graph changed.
     pub(crate) fn remove(&mut self, key: &str) -> bool {
         let Some((token, _)) = self.tokens.remove(key) else { return false };
         if let Some(count) = self.per_session.get_mut(&token.zid) {
@@ -89,7 +89,7 @@ impl Graph {
         true
     }
 
-    pub(crate) fn there(&self) -> FarGraph {
+    pub(crate) fn far_graph(&self) -> FarGraph {
         let mut there = FarGraph { ended: self.ended(), ..FarGraph::default() };
         for (token, entity) in self.tokens.values() {
             match entity {
@@ -110,7 +110,7 @@ impl Graph {
         there
     }
 
-    /// A gateway announces that a publisher ended normally; its token disappears next.
+    /// Stores that a gateway announced the normal end of a publisher, whose token disappears next.
     pub(crate) fn note_ended(&mut self, tag: u64) {
         if self.ended.len() >= MOST_ENDED {
             self.ended.pop_front();
@@ -124,7 +124,7 @@ impl Graph {
         recent.map(|(_, tag)| *tag).collect()
     }
 
-    /// Whether tokens were refused for lack of room, and there is room now: request all tokens again.
+    /// Whether all tokens must be requested again: some were refused for lack of room, and there is room now.
     pub(crate) fn wants_resync(&mut self) -> bool {
         let wants = self.is_incomplete && self.tokens.len() < self.limits.tokens / 4 * 3;
         self.is_incomplete &= !wants;
@@ -155,7 +155,7 @@ impl Graph {
         keeping
     }
 
-    /// The hash that other hosts state for a topic's type.
+    /// The hash that other hosts state for a topic's type, if they agree.
     pub(crate) fn hash_of(&self, topic: &str, name: &TypeName) -> Option<TypeHash> {
         let ends = self.tokens().filter_map(|token| token.endpoint.as_ref());
         let mut hashes = ends
@@ -163,7 +163,7 @@ impl Graph {
             .filter(|end| end.name == topic && end.type_id.name == *name)
             .map(|end| end.type_id.hash);
         let hash = hashes.next()?;
-        // If they differ, none is reliable.
+        // If the hashes differ, none is reliable.
         hashes.all(|other| other == hash).then_some(hash)
     }
 
@@ -204,7 +204,7 @@ mod tests {
     fn endpoints_come_and_go() {
         let mut graph = graph(GraphLimits::default());
         let counts = |graph: &Graph| {
-            let there = graph.there();
+            let there = graph.far_graph();
             [there.nodes.len(), there.endpoints.len(), there.services.len(), there.publishers.len()]
         };
         assert!(graph.insert("@ros2_lv/5/1/0/0/NN/%/%/n"));
@@ -228,9 +228,9 @@ mod tests {
         graph.insert(&short);
         graph.insert(&long);
         graph.remove(&short);
-        assert_eq!(graph.there().endpoints.len(), 1);
+        assert_eq!(graph.far_graph().endpoints.len(), 1);
         graph.remove(&long);
-        assert_eq!(graph.there().endpoints.len(), 0);
+        assert_eq!(graph.far_graph().endpoints.len(), 0);
     }
 
     #[test]

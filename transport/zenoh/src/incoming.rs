@@ -22,16 +22,16 @@ use zenoh::sample::{Locality, Sample, SampleKind};
 use zenoh::{Session, Wait};
 use zenoh_ext::z_deserialize;
 
-/// Messages arrive over several links, and kept ones again. Other implementations of the wire write GIDs that their tokens do not
-/// announce (hiroz, zenoh-ros2-sdk).
+/// Messages arrive over several links, so out of order, and kept messages arrive again. Some implementations of the wire write GIDs
+/// that their tokens do not announce (hiroz, zenoh-ros2-sdk), so messages of unknown publishers are forwarded.
 pub(crate) const DELIVERY: Delivery = Delivery { early: None, is_ordered: false };
 /// A time stamp further ahead of this host's clock is invalid.
 const FUTURE_NS: i64 = 3_600_000_000_000;
 /// Time-out of a request for kept samples.
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
-/// How long the graph is the same before missing kept samples are requested again.
+/// How long the graph must be unchanged before missing kept samples are requested again.
 const RETRY_TIME: Duration = Duration::from_secs(1);
-/// How long new samples wait, at the start, until it is known which publishers exist.
+/// How long new samples wait, at the start, until the existing publishers are known.
 const START_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Why a sample from the network was dropped.
@@ -49,8 +49,8 @@ pub(crate) enum Dropped {
     Unclaimed,
 }
 
-/// How often kept samples are requested again of publishers of which none have come; the first time after a second, then later each
-/// time. A publisher may have none.
+/// How often kept samples are requested again from publishers that have sent none; the first time after a second, then at growing
+/// intervals. A publisher may have none.
 const MOST_RETRIES: u32 = 5;
 
 /// An incoming topic. Dropping it ends the subscriptions on the network.
@@ -61,7 +61,7 @@ pub(crate) struct Incoming {
     samples: [Subscriber<()>; 2],
 }
 
-/// Of a transient-local topic: requests to publishers that were missed.
+/// Repeated requests for a transient-local topic: to publishers from which no kept samples have arrived.
 struct Retries {
     requests: Requests,
     /// The number of each session's publishers that keep samples.
@@ -72,8 +72,8 @@ struct Retries {
 }
 
 impl Incoming {
-    /// Starts taking a topic's samples. If `old` took them until now, its subscriptions stay and `ingress` continues where its own ends, so
-    /// that no sample is missed in between.
+    /// Starts taking a topic's samples. If `old` took them so far, its subscriptions are kept and `ingress` continues where the old ingress
+    /// ended, so that no sample is missed in between.
     pub(crate) fn start(
         session: &Session,
         key: &TopicKey,
@@ -87,12 +87,12 @@ impl Incoming {
         let is_kept = qos.durability == Durability::TransientLocal;
         let kept = is_kept.then(|| KeptSamples::new(qos.depth, qos.reliability == Reliability::Reliable));
         let entrance: Arc<Entrance> = old.as_ref().map(|old| old.entrance.clone()).unwrap_or_default();
-        // Samples wait until the new gate is there.
+        // Zenoh's threads wait for this lock with their samples until the new gate exists.
         let mut inside = entrance.0.lock();
         let mut waiting = Vec::new();
         if let Some(Way { port, .. }) = old.as_ref().and_then(|old| old.gate.0.lock().take()) {
             let SampleAdmission { ingress: former, mut unclaimed, .. } = port;
-            // A network's publishers are one class, so their numbers go on.
+            // All publishers of a network are one class, so the tracking of their sequence numbers continues.
             ingress.take_over(former, false);
             waiting.extend(std::iter::from_fn(|| unclaimed.pop()));
         }
@@ -113,7 +113,7 @@ impl Incoming {
         };
         let mut retries = None;
         if is_kept {
-            // After the samples: what is published after an answer arrives.
+            // After subscribing to samples: so a sample that is published after the response to a request arrives, too.
             let _publishers = requests.watch()?;
             let (keeping, count, next) = (BTreeMap::new(), 0, Instant::now());
             retries = Some(Retries { requests, keeping, count, next, _publishers });
@@ -125,8 +125,8 @@ impl Incoming {
         self.retries.is_some()
     }
 
-    /// Requests kept samples again where some are missing: Zenoh may have told late of a publisher, or not at all, or a request was lost.
-    /// `keeping` has the number of each session's publishers of this topic that keep samples, by the graph. Call it now and then.
+    /// Requests missing kept samples again: Zenoh may have announced a publisher late or not at all, or a request was lost. `keeping` is
+    /// the number of each session's publishers of this topic that keep samples, according to the graph. Call it periodically.
     pub(crate) fn retry(&mut self, keeping: &BTreeMap<SessionId, usize>) {
         let Some(retries) = &mut self.retries else { return };
         let now = Instant::now();
@@ -148,7 +148,7 @@ impl Incoming {
     }
 }
 
-/// Where samples come in, whichever gate they go through.
+/// The callbacks' reference to the present gate: the subscriptions on the network outlive a gate.
 #[derive(Default)]
 struct Entrance(PiMutex<Option<Requests>>);
 
@@ -159,9 +159,9 @@ impl Entrance {
         key: &TopicKey,
     ) -> zenoh::Result<[Subscriber<()>; 2]> {
         let (of_group, of_topic) = (entrance.clone(), entrance.clone());
-        // Newer publishers of images and the like use this key.
+        // Newer publishers of types with an unbounded `uint8[]`, such as images, use this key.
         let cpu_group = session.declare_subscriber(key.cpu_group()).allowed_origin(Locality::Remote);
-        // Their sequence numbers also count samples to other subscriptions: gaps are not losses.
+        // Sequence numbers under this key also count samples for other subscriptions: gaps are not losses.
         let cpu_group = cpu_group.callback(move |sample| {
             of_group.pass(|way| {
                 way.port.take(sample, false);
@@ -187,17 +187,17 @@ impl Entrance {
     }
 }
 
-/// Requests what the publishers of a topic keep.
+/// Requests the samples that the publishers of a topic keep.
 #[derive(Clone)]
 struct Requests {
     session: Session,
     gate: Weak<Gate>,
-    /// The topic's.
+    /// The topic's key expression.
     key: String,
 }
 
 impl Requests {
-    /// Watches the publishers, those that come and those that exist.
+    /// Subscribes to the tokens and heartbeats of publishers, and requests the tokens of existing publishers.
     fn watch(&self) -> zenoh::Result<[Subscriber<()>; 2]> {
         let publishers = format!("{}/@adv/pub/**", self.key);
         let (coming, beating) = (self.clone(), self.clone());
@@ -225,7 +225,7 @@ impl Requests {
         self.with_kept(|kept| kept.appeared(publisher))
     }
 
-    /// A publisher tells the number of its last sample.
+    /// Handles a heartbeat, which has the number of a publisher's last sample.
     fn heartbeat(&self, sample: &Sample) -> Option<Request> {
         let (publisher, number) = (self.publisher(sample)?, z_deserialize::<u32>(sample.payload()).ok()?);
         self.with_kept(|kept| kept.heartbeat(publisher, number))
@@ -237,7 +237,7 @@ impl Requests {
         }
     }
 
-    /// Sends from another thread: Zenoh drops callbacks with a lock that sending takes.
+    /// Sends from another thread: Zenoh drops callbacks while it holds a lock that sending takes.
     fn send_from_drop(&self, requests: Vec<Request>) {
         let answers: Vec<_> = requests.into_iter().map(|request| Answer::to(request, self)).collect();
         if answers.is_empty() {
@@ -250,7 +250,7 @@ impl Requests {
     }
 }
 
-/// The publishers that exist. Zenoh drops it when all are found, at the latest after the time-out.
+/// Collects requests to the existing publishers. Zenoh drops it when all are found, at the latest after the time-out.
 struct Start {
     requests: Requests,
     found: PiMutex<Vec<Request>>,
@@ -272,8 +272,8 @@ impl Drop for Start {
     }
 }
 
-/// The answer to a request, which ends when this is dropped: by Zenoh, at the latest after the time-out, or because the request
-/// cannot be sent.
+/// Collects the response to a request. The response is complete when this is dropped: by Zenoh, at the latest after the time-out, or
+/// because the request cannot be sent.
 struct Answer {
     requests: Requests,
     request: Request,
@@ -302,7 +302,7 @@ impl Answer {
             && sample.place().is_some_and(|(publisher, _)| self.request.target.includes(publisher));
         let mut kept = self.kept.lock();
         kept.extend(is_wanted.then_some(sample));
-        // More than it was asked for: the last ones count.
+        // A publisher may send more samples than requested: the last ones count.
         if kept.len() > self.request.most {
             kept.pop_front();
         }
@@ -318,7 +318,7 @@ impl Drop for Answer {
     }
 }
 
-/// The way in, shared by the threads of several links; `None` after another one took over.
+/// The path of incoming samples, shared by the threads of several links; `None` after another gate took over.
 struct Gate(PiMutex<Option<Way>>);
 
 impl Gate {
@@ -334,7 +334,7 @@ impl Claimant for Gate {
 }
 
 struct Way {
-    /// Of a transient-local topic.
+    /// `None`: the topic is not transient local.
     kept: Option<KeptSamples<Sample>>,
     port: SampleAdmission,
 }
@@ -358,7 +358,7 @@ impl Way {
         }
     }
 
-    /// What publishers keep.
+    /// Handles the kept samples that publishers sent. Returns a request for lost samples.
     fn answered(&mut self, target: Target, samples: Vec<Sample>) -> Option<Request> {
         let (port, kept) = (&mut self.port, self.kept.as_mut()?);
         let mut deliver = |sample| port.take(sample, true);
@@ -399,7 +399,7 @@ impl SampleAdmission {
         }
     }
 
-    /// Passes the first message that waits for memory, if that is there.
+    /// Passes the first message that waits for memory, if its memory is claimed.
     fn pass_waiting(&mut self, claimed: Claimed) -> Next {
         let Some((sample, source)) = self.unclaimed.first() else { return Next::Done };
         let body = Payload(sample.payload());
@@ -416,7 +416,7 @@ impl SampleAdmission {
         if self.unclaimed.is_empty() { Next::Done } else { Next::Pass }
     }
 
-    /// The metadata of a sample, after checking its frame.
+    /// Checks the attachment and encapsulation of a sample. Returns its metadata.
     fn check(&self, sample: &Sample) -> Result<MessageMeta, Dropped> {
         if sample.kind() != SampleKind::Put {
             return Err(Dropped::Deletion);
@@ -438,7 +438,7 @@ impl SampleAdmission {
     }
 }
 
-/// The body behind the encapsulation, which was checked.
+/// A payload's body, after its encapsulation, which was checked.
 struct Payload<'p>(&'p ZBytes);
 
 impl Body for Payload<'_> {

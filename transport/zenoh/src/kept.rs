@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The order of what transient-local publishers keep and what they publish: a publisher's kept samples are requested when it appears,
-//! and its lost ones when a later one arrives; meanwhile its new samples wait.
+//! Orders the kept and the new samples of transient-local publishers: a publisher's kept samples are requested when it appears,
+//! and its lost samples when a later one arrives; until the response, its new samples wait.
 //!
-//! zenoh-ext's `AdvancedSubscriber` is not used: it delivers a new sample that arrives during a request at once, and then drops the
-//! kept ones as older, uncounted (1.10.2).
+//! zenoh-ext's `AdvancedSubscriber` is not used: it delivers a new sample that arrives during a request at once, and then drops
+//! older kept samples without counting them (1.10.2).
 
 use std::collections::{BTreeMap, HashMap};
 use std::fmt;
@@ -13,14 +13,14 @@ use zenoh::session::ZenohId;
 
 pub(crate) type SessionId = [u8; 16];
 
-/// A publisher, as zenoh-ext tells it apart: its session, and its number there. `None`: all of the session whose samples have only
-/// a time stamp.
+/// A publisher, as zenoh-ext identifies it: by its session and its number in the session. `None`: all publishers of the session whose
+/// samples have only a time stamp.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Publisher(SessionId, Option<u32>);
 
 impl Publisher {
-    /// From the key of the token `<topic>/@adv/pub/<session>/<number or uhlc>/<metadata>` of a publisher that is not of the session
-    /// `own`.
+    /// Parses the key of a publisher's token, `<topic>/@adv/pub/<session>/<number or uhlc>/<metadata>`. `None` for publishers of the
+    /// session `own`.
     pub(crate) fn of_token(key: &str, own: ZenohId) -> Option<Self> {
         let (_, publisher) = key.rsplit_once("/@adv/pub/")?;
         let mut parts = publisher.split('/');
@@ -37,7 +37,7 @@ impl Publisher {
     }
 }
 
-/// Whose kept samples are requested.
+/// The publishers whose kept samples are requested.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Target {
     Publisher(Publisher),
@@ -53,7 +53,7 @@ impl Target {
     }
 }
 
-/// As in the keys of caches.
+/// The form that the keys of caches use.
 impl fmt::Display for Target {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (Target::Publisher(Publisher(session, _)) | Target::Session(session)) = self;
@@ -66,9 +66,9 @@ impl fmt::Display for Target {
     }
 }
 
-/// What has a place among the samples of its publisher.
+/// A sample with a position among the samples of its publisher.
 pub(crate) trait Placed {
-    /// The publisher, and a number that grows with each of its samples; modulo 2^32 if the publisher has a number. `None`: it has neither.
+    /// The publisher, and a number that grows with each of its samples; modulo 2^32 if the publisher has a number. `None`: unknown.
     fn place(&self) -> Option<(Publisher, u64)>;
 }
 
@@ -87,7 +87,7 @@ impl Placed for Sample {
     }
 }
 
-/// How far `number` is after `base`; negative: before it.
+/// How far `number` is after `base`; negative if it is before `base`.
 fn after(publisher: Publisher, number: u64, base: u64) -> i64 {
     match publisher.is_single() {
         true => i64::from((number as u32).wrapping_sub(base as u32) as i32),
@@ -95,26 +95,26 @@ fn after(publisher: Publisher, number: u64, base: u64) -> i64 {
     }
 }
 
-/// A request to a publisher's cache, which [`KeptSamples::answered`] must follow, or to all of a session:
-/// [`KeptSamples::answered_by_session`].
+/// A request to a publisher's cache, after which [`KeptSamples::answered`] must be called, or to all caches of a session, after which
+/// [`KeptSamples::answered_by_session`] must be called.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Request {
     pub(crate) target: Target,
     pub(crate) what: What,
-    /// Maximum of samples in its answer.
+    /// Maximum of samples in the response.
     pub(crate) most: usize,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum What {
-    /// The last so many samples of each publisher.
+    /// This number of last samples of each publisher.
     Last(usize),
-    /// All that is kept from this number on.
+    /// All kept samples from this number on.
     From(u32),
 }
 
 impl What {
-    /// As zenoh-ext's caches read it.
+    /// The selector parameters for zenoh-ext's caches.
     pub(crate) fn parameters(self) -> String {
         match self {
             What::Last(count) => format!("_max={count}"),
@@ -125,38 +125,38 @@ impl What {
 
 /// The state of a topic's publishers.
 pub(crate) struct KeptSamples<S> {
-    /// As many kept samples are requested of each publisher.
+    /// Number of kept samples that are requested from each publisher.
     depth: usize,
     /// Whether lost samples are requested.
     recovers: bool,
-    /// Until it is known which publishers exist, all samples wait.
+    /// Whether the existing publishers are not known yet: all samples wait.
     is_starting: bool,
     publishers: HashMap<Publisher, PublisherState<S>>,
 }
 
 struct PublisherState<S> {
-    /// Requests without an answer.
+    /// Number of requests without a response.
     requests: usize,
-    /// Until the first answer.
+    /// Whether new samples wait for a response.
     is_waiting: bool,
-    /// New samples that wait; at most as many as an answer has, because more of them replace all that is kept.
+    /// New samples that wait; at most as many as a response has, because more of them replace all kept samples.
     waiting: Vec<S>,
     /// The numbers of the first and of the last delivered sample.
     delivered: Option<(u64, u64)>,
-    /// Whether it is no loss if what was delivered first has something before it: after an answer, or instead of one.
+    /// Whether samples before the first delivered one are not counted as lost: after a response, or when new samples replaced it.
     is_whole: bool,
-    /// Whether an answer had a sample of it.
+    /// Whether a response had a sample of this publisher.
     is_answered: bool,
-    /// From where lost samples were requested last: what the publisher does not have any more is not requested again.
+    /// The first number of the last request for lost samples: samples that the publisher no longer has are not requested again.
     asked: Option<u32>,
 }
 
 impl<S: Placed> KeptSamples<S> {
-    /// Maximum of publishers; beyond it, which a hostile peer can cause, no more is requested and samples are not ordered.
+    /// Maximum of publishers; of further ones, which a hostile peer can announce, nothing is requested or ordered.
     const MOST: usize = 1024;
-    /// Maximum of requests to a publisher: after its host was away, an earlier one may still be without an answer.
+    /// Maximum of pending requests to a publisher: after its host was unreachable, an earlier one may still be pending.
     const REQUESTS: usize = 2;
-    /// Publishers of a session without numbers of their own, which answer together.
+    /// Assumed maximum of publishers of one session whose caches answer a request together.
     const TOGETHER: usize = 64;
 
     pub(crate) fn new(depth: usize, recovers: bool) -> Self {
@@ -179,15 +179,15 @@ impl<S: Placed> KeptSamples<S> {
         Some(Request { target: Target::Publisher(publisher), what, most })
     }
 
-    /// Requests to the sessions that have more publishers than have answered. `keeping` has the number of each session's publishers that
-    /// keep samples.
+    /// Requests to the sessions of which not all publishers have answered. `keeping` is the number of each session's publishers that keep
+    /// samples.
     pub(crate) fn missing(&self, keeping: &BTreeMap<SessionId, usize>) -> Vec<Request> {
         let answered = |session: &SessionId| {
             let of_session = |(publisher, state): &(&Publisher, &PublisherState<S>)| {
                 publisher.0 == *session && state.is_answered
             };
             let answered = self.publishers.iter().filter(of_session);
-            // Those without numbers have answered together.
+            // Publishers without numbers have answered together.
             answered.fold(0, |sum: usize, (publisher, _)| {
                 sum.saturating_add(if publisher.is_single() { 1 } else { usize::MAX })
             })
@@ -203,7 +203,7 @@ impl<S: Placed> KeptSamples<S> {
             .collect()
     }
 
-    /// All publishers that exist have [appeared](Self::appeared).
+    /// Ends the start, after all existing publishers have [appeared](Self::appeared): delivers samples that wait for no response.
     pub(crate) fn started(&mut self, deliver: &mut impl FnMut(S)) {
         self.is_starting = false;
         for (publisher, state) in &mut self.publishers {
@@ -215,7 +215,7 @@ impl<S: Placed> KeptSamples<S> {
         self.publishers.retain(|publisher, state| publisher.is_single() || state.requests > 0);
     }
 
-    /// A publisher has told the number of its last sample.
+    /// Handles a publisher's heartbeat, which has the number of its last sample. Returns a request for missing samples.
     pub(crate) fn heartbeat(&mut self, publisher: Publisher, number: u32) -> Option<Request> {
         let is_idle = self.recovers && !self.is_starting;
         let state = self.publishers.get(&publisher).filter(|state| is_idle && state.requests == 0)?;
@@ -227,7 +227,7 @@ impl<S: Placed> KeptSamples<S> {
         self.request(publisher, what)
     }
 
-    /// A new sample: gives to `deliver` what is due now, in order.
+    /// Handles a new sample: passes the samples that are due now to `deliver`, in order. Returns a request for lost samples.
     ///
     /// # Real-time
     /// Two look-ups; one of [`MOST`](Self::MOST) publishers for each sample of a publisher beyond them. A sample that waits is stored on the
@@ -273,8 +273,8 @@ impl<S: Placed> KeptSamples<S> {
         None
     }
 
-    /// The answer to a request: gives to `deliver` the kept samples and what waited for them. Returns how many kept samples came too
-    /// late, after newer ones, and a request for lost ones.
+    /// Handles the response to a request: passes the kept samples to `deliver`, and then the samples that waited for them. Returns how
+    /// many kept samples arrived too late, after newer ones, and a request for lost samples.
     pub(crate) fn answered(
         &mut self,
         publisher: Publisher,
@@ -293,7 +293,7 @@ impl<S: Placed> KeptSamples<S> {
         (late, lost.and_then(|from| self.request(publisher, What::From(from))))
     }
 
-    /// The answer of a session: the kept samples of publishers that are not about to answer by themselves. Returns how many came too late.
+    /// Handles the response of a session: delivers the kept samples of publishers without a pending request. Returns how many were late.
     pub(crate) fn answered_by_session(&mut self, kept: Vec<S>, deliver: &mut impl FnMut(S)) -> u64 {
         let mut by_publisher = HashMap::<Publisher, Vec<S>>::new();
         for sample in kept {
@@ -321,12 +321,12 @@ impl<S: Placed> KeptSamples<S> {
     }
 }
 
-/// The number after this one.
+/// The number after `last`.
 fn next(last: u64) -> u32 {
     (last as u32).wrapping_add(1)
 }
 
-/// Caches of one session answer one after the other.
+/// Sorts the samples of a publisher by number: caches of one session answer one after the other.
 fn sort<S: Placed>(publisher: Publisher, samples: &mut [S]) {
     let number = |sample: &S| sample.place().map(|(_, number)| number);
     if let Some(base) = samples.iter().find_map(number) {
@@ -342,7 +342,7 @@ impl<S> Default for PublisherState<S> {
 }
 
 impl<S: Placed> PublisherState<S> {
-    /// Delivers a sample, unless it or a newer one was delivered before.
+    /// Delivers a sample, unless this or a newer sample was delivered before.
     fn deliver(&mut self, publisher: Publisher, number: u64, sample: S, deliver: &mut impl FnMut(S)) {
         match &mut self.delivered {
             None => self.delivered = Some((number, number)),
@@ -352,7 +352,7 @@ impl<S: Placed> PublisherState<S> {
         deliver(sample);
     }
 
-    /// Delivers kept samples. Returns how many came too late.
+    /// Delivers kept samples. Returns how many arrived too late.
     fn deliver_kept(&mut self, publisher: Publisher, mut kept: Vec<S>, deliver: &mut impl FnMut(S)) -> u64 {
         sort(publisher, &mut kept);
         let first = self.delivered.filter(|_| !self.is_whole).map(|(first, _)| first);
@@ -367,7 +367,7 @@ impl<S: Placed> PublisherState<S> {
         late
     }
 
-    /// Delivers what waits; if it `recovers`, up to a gap from which on nothing was requested before, which it returns.
+    /// Delivers waiting samples; with `recovers`, up to the first gap that was not requested before, and returns the gap's first number.
     fn advance(&mut self, publisher: Publisher, recovers: bool, deliver: &mut impl FnMut(S)) -> Option<u32> {
         let mut waiting = std::mem::take(&mut self.waiting);
         sort(publisher, &mut waiting);

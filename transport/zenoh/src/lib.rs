@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The gateway: topics of a host mirrored over Zenoh, on the rmw_zenoh wire.
 //!
-//! [`Gateway`] joins a domain and a Zenoh network. It announces the host's nodes and endpoints there, and those of other hosts
-//! here; samples travel while a topic has endpoints on both sides. [`Options`] sets endpoints, topics and priorities;
+//! [`Gateway`] joins a domain and a Zenoh network. It announces the host's nodes and endpoints on the network, and those of other
+//! hosts in the domain; samples travel while a topic has endpoints on both sides. [`Options`] sets endpoints, topics and priorities;
 //! [`Gateway::stats`] counts what was forwarded, lost and dropped, and why.
 //!
-//! `gw-out` takes the host's samples and puts them on Zenoh; `gw-wait` and `gw-bulk` put those that may wait for a link;
+//! `gw-out` takes the host's samples and puts them on Zenoh; `gw-wait` and `gw-bulk` put samples that may wait for a link;
 //! `gw-services` carries requests and responses; `gw-control` and `gw-watch` follow both graphs. They and Zenoh's own threads run
 //! at `SCHED_FIFO` 80 unless [`Options`] set another priority, within the processor [`Budget`]; `gw-claim`, which claims shared memory
 //! for what arrives, at `SCHED_OTHER`. No default build uses Zenoh. The program is `taut-gateway`; `docs/deployment.md` describes its

@@ -63,8 +63,8 @@ impl<'a> EndpointView<'a> {
     }
 }
 
-/// The endpoints in terms of the network; `here.problems` gets the reasons for those that cannot be mirrored, and the rest of
-/// `here` gets type hashes. `hash_of` finds the hash, by topic and type, where no endpoint here states it.
+/// The endpoints in terms of the network. Endpoints that cannot be mirrored are removed from `here`, and `here.problems` gets the reasons;
+/// the rest of `here` gets type hashes. `hash_of` finds the hash, by topic and type, where no local endpoint states it.
 pub(crate) fn list(
     here: &mut LocalGraph,
     mut hash_of: impl FnMut(&str, &TypeName) -> Option<TypeHash>,
@@ -75,7 +75,7 @@ pub(crate) fn list(
     let mut stated = HashMap::new();
     for end in &ends {
         if let Some(hash) = end.hash {
-            // If they differ, none is reliable.
+            // If the hashes differ, none is reliable.
             let known = stated.entry((end.name, end.type_name)).or_insert(Some(hash));
             *known = known.filter(|known| *known == hash);
         }

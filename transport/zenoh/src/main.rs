@@ -20,12 +20,12 @@ use tracing_subscriber::Layer;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
-/// The time after which the wait for a link is said.
+/// The time after which the wait for a link is logged.
 const PATIENCE: Duration = Duration::from_secs(1);
 
 fn main() -> ExitCode {
     let args = Args::parse();
-    // A Unix socket to listen on is its user's only, from its first moment on.
+    // A Unix socket to listen on is accessible to its user only, from the moment that it is created.
     rustix::process::umask(Mode::RWXG | Mode::RWXO);
     // Before threads start. Zenoh allocates and frees some MB for each large message, which costs a third of its rate if the heap
     // shrinks and grows each time.
@@ -33,7 +33,7 @@ fn main() -> ExitCode {
     // Zenoh's warnings are noise here; samples that it drops or loses are counted. RUST_LOG overrides the filter.
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn,zenoh=error,zenoh_ext=error"));
-    // Without colours, because what other hosts wrote is escaped.
+    // Without colours: control characters are escaped, because text of other hosts is logged.
     let log = tracing_subscriber::fmt::layer().with_writer(stderr).with_ansi(false).without_time();
     tracing_subscriber::registry()
         .with(log.with_filter(filter))
@@ -62,7 +62,7 @@ fn run(args: &Args) -> Result<ExitCode, Box<dyn Error>> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// `None`: a signal ended the wait for another gateway. One that ends the wait for a link is [`SessionError::GivenUp`].
+/// Starts the gateway. `None`: a signal ended the wait for another gateway. [`SessionError::GivenUp`]: a signal ended the wait for a link.
 fn start(args: &Args, options: Options, stop: &AtomicBool) -> Result<Option<Gateway>, GatewayError> {
     let is_stopped = || stop.load(Ordering::Relaxed);
     let instance = Instance::gateway(options.domain);

@@ -18,7 +18,7 @@ pub struct Options {
     pub network: Network,
     /// Topics to mirror: all by default.
     pub filter: Filter,
-    /// Priorities on a busy link; topics without a rule go by size.
+    /// Priorities on a busy link; without a rule, the size of a topic's samples decides.
     pub rules: Vec<Rule>,
     /// Whether endpoints that bridges announce in the domain are announced too.
     pub transit: bool,

@@ -14,12 +14,12 @@ pub(crate) fn ended(domain: u32, zid: u128, tag: u64) -> String {
     format!("{ENDED}/{domain}/{zid:x}/{tag:016x}")
 }
 
-/// All such announcements of a domain.
+/// Matches all announcements of a domain that a publisher ended normally.
 pub(crate) fn ended_wildcard(domain: u32) -> String {
     format!("{ENDED}/{domain}/**")
 }
 
-/// The announcing session, and the publisher's tag; untrusted.
+/// Parses such an announcement: the announcing session, and the publisher's tag; untrusted.
 pub(crate) fn ended_tag(key: &str) -> Option<(u128, u64)> {
     let mut parts = key.strip_prefix(ENDED)?.split('/').skip(2);
     let (zid, tag) = (parts.next()?, parts.next()?);

@@ -4,10 +4,10 @@
 //! It never waits long for the network: on a busy link a sample is dropped, and the receiver counts the gap in sequence numbers.
 //! Two kinds of samples may wait longer, each in its own thread: large ones, whose fragments fill the link's queue, and those of
 //! publishers that are transient local, or reliable and keep all. If too many of these wait, no more are taken from shared memory: the
-//! topic's queue there loses its oldest, which are counted, or, where both ends keep all, its publisher has to wait. Other local
-//! publishers are not affected.
+//! topic's queue there loses its oldest samples, which are counted, or, if both endpoints keep all, its publisher has to wait. Other
+//! local publishers are not affected.
 
-use crate::rules::{BULK_BYTES, Rule, Urgency, ruled};
+use crate::rules::{BULK_BYTES, Rule, Urgency, urgency_of};
 use crate::wire::{Attachment, ENCAPSULATION, TopicKey, WireQos};
 use std::any::Any;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -31,15 +31,15 @@ use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, Mis
 
 /// Bodies of at least this size go to Zenoh without a copy; smaller ones are copied behind their header.
 const IN_PLACE_BYTES: usize = 4096;
-/// From so many bytes on, a queue of samples that may wait has no room for more.
+/// Number of waiting bytes from which on a [`Queue`] has no room.
 const MOST_WAITING_BYTES: usize = 16 << 20;
-/// What a sample in it takes besides its body.
+/// Memory of a sample in a [`Queue`] besides its body.
 const OVERHEAD_BYTES: usize = 1024;
-/// As in rmw_zenoh.
+/// Period of heartbeats, as in rmw_zenoh.
 const HEARTBEAT: Duration = Duration::from_millis(500);
 
-/// The gateway's own threads: those that send, and those that follow changes. Floods of samples, requests or tokens keep them
-/// busy, so all have the budget.
+/// The gateway's own threads: those that send, and those that follow changes. The budget applies to all of them, because floods of
+/// samples, requests or tokens keep them busy.
 pub(crate) const THREADS: [&str; 6] =
     ["gw-out", "gw-wait", "gw-bulk", "gw-services", "gw-control", "gw-watch"];
 
@@ -71,7 +71,7 @@ pub(crate) struct Writer {
     pub(crate) identity: Identity,
     session: Session,
     key: TopicKey,
-    /// Declared when its samples are first needed, with the time: while it exists, Zenoh knows the key's subscribers.
+    /// A publisher, declared when the writer's samples are first needed, and when: while it exists, Zenoh knows the key's subscribers.
     scout: OnceLock<(Option<Publisher<'static>>, Instant)>,
 }
 
@@ -92,8 +92,8 @@ impl Writer {
 }
 
 impl FarWriter for Writer {
-    /// Declaring a publisher makes Zenoh look for subscribers of the key; samples put before that are lost. Late joiners request
-    /// kept samples.
+    /// Whether Zenoh has found subscribers. Declaring a publisher makes Zenoh look for subscribers of the key; samples that are put
+    /// before it has found them are lost. Always true for a transient-local publisher: late joiners request its kept samples.
     fn is_matched(&self) -> bool {
         if is_keeping(&self.identity) {
             return true;
@@ -116,7 +116,7 @@ impl Egress for Network {
     type Topic = Outbound;
     type Sender = NetworkSender;
 
-    // Until the control thread has discovered the publisher.
+    // Samples are held until the control thread has discovered their publisher.
     const EARLY: EarlyLimits = EarlyLimits { samples: 1000, bytes: 16 << 20, time: Duration::from_secs(2) };
 
     fn has_room(&self, sender: &NetworkSender) -> bool {
@@ -134,7 +134,7 @@ impl Egress for Network {
         sender.settle(len_bytes);
         let traced = sender.traced.sample(sample.port(), info.sequence_number);
         let payload = match sample {
-            // Samples that may outlive the put are copied: a subscription has few samples to lend.
+            // Samples that are sent later are copied, because a subscription may hold only few samples.
             OutboundSample::Now(sample) if !sender.may_wait() && len_bytes >= IN_PLACE_BYTES => {
                 in_place(sample)
             }
@@ -153,7 +153,7 @@ impl Egress for Network {
 }
 
 impl Network {
-    /// Where samples of this publisher wait, if they may.
+    /// The queue in which samples of this publisher wait, if they may wait.
     fn queue(&self, sender: &NetworkSender) -> Option<&Queue> {
         match (sender.may_wait(), sender.is_bulk) {
             (true, _) => Some(&self.patient),
@@ -174,7 +174,7 @@ impl Network {
         let attachment = sender.attachment(info);
         let publisher = &sender.publisher;
         let Some(queue) = self.queue(sender) else {
-            return sent(counters, publisher.put(payload, &attachment, traced), len_bytes, &attachment);
+            return count(counters, publisher.put(payload, &attachment, traced), len_bytes, &attachment);
         };
         let (publisher, counters) = (publisher.clone(), counters.clone());
         queue.push(QueuedSample { publisher, payload, attachment, len_bytes, traced, counters });
@@ -188,9 +188,9 @@ pub(crate) struct NetworkSender {
     writer: Identity,
     publisher: Arc<AnyPublisher>,
     urgency: Urgency,
-    /// Whether the priority is a guess until the first sample.
+    /// Whether the priority is a guess, because no rule sets it and no sample has come.
     is_guess: bool,
-    /// Whether a large sample has come: all later ones use its queue, to stay in order.
+    /// Whether a large sample has come: all later samples use the same queue, to stay in order.
     is_bulk: bool,
     last: Last,
     traced: TracedSender,
@@ -209,7 +209,7 @@ impl NetworkSender {
         writer: &Identity,
         rules: &[Rule],
     ) -> zenoh::Result<Self> {
-        let rule = ruled(rules, &key.topic);
+        let rule = urgency_of(rules, &key.topic);
         let urgency = rule.unwrap_or_else(|| Urgency::by_size(crate::rules::SMALL_BYTES + 1));
         let (is_guess, is_bulk) = (rule.is_none(), false);
         let publisher = Arc::new(declare(session, key, writer, urgency, is_bulk)?);
@@ -262,8 +262,8 @@ fn declare(
 ) -> zenoh::Result<AnyPublisher> {
     let qos = &writer.qos;
     let is_reliable = qos.reliability == Reliability::Reliable;
-    // Where a thread may wait, its own queue drops samples, because there drops are counted, and a message that Zenoh drops
-    // between fragments can block its priority's queue (1.10.2).
+    // Block where a thread of its own puts the samples: drops then happen in the topic's queue, which counts them, and a message
+    // that Zenoh drops between fragments can block its priority's queue (1.10.2).
     let congestion = match (is_reliable, qos.history) {
         (true, History::KeepAll) => CongestionControl::Block,
         _ if is_bulk || is_keeping(writer) => CongestionControl::Block,
@@ -320,7 +320,7 @@ impl Queue {
         self.waiting_bytes.load(Ordering::Relaxed) < MOST_WAITING_BYTES
     }
 
-    /// Room is checked before samples are taken, so that they stay where they are.
+    /// Never refuses: the caller checks [`has_room`](Self::has_room) before it takes samples from shared memory.
     fn push(&self, sample: QueuedSample) {
         self.waiting_bytes.fetch_add(sample.waiting_bytes(), Ordering::Relaxed);
         if let Some(samples) = &self.samples {
@@ -358,14 +358,14 @@ impl QueuedSample {
 
 fn send_waiting(samples: &mpsc::Receiver<QueuedSample>, waiting_bytes: &AtomicUsize) {
     while let Ok(sample) = samples.recv() {
-        // The one that is being sent does not count: the next large one is there when it was sent.
+        // The sample that is being sent does not count, so that the next large one is queued by the time it is sent.
         waiting_bytes.fetch_sub(sample.waiting_bytes(), Ordering::Relaxed);
         let QueuedSample { publisher, payload, attachment, len_bytes, traced, counters } = sample;
-        sent(&counters, publisher.put(payload, &attachment, traced), len_bytes, &attachment);
+        count(&counters, publisher.put(payload, &attachment, traced), len_bytes, &attachment);
     }
 }
 
-fn sent(counters: &TopicCounters, outcome: zenoh::Result<()>, len_bytes: usize, attachment: &Attachment) {
+fn count(counters: &TopicCounters, outcome: zenoh::Result<()>, len_bytes: usize, attachment: &Attachment) {
     match outcome {
         Ok(()) => counters.passed(len_bytes, attachment.source_timestamp_ns),
         Err(_) => counters.dropped("refused by Zenoh"),
@@ -380,7 +380,7 @@ fn copied(body: &[u8]) -> ZBytes {
     payload.into()
 }
 
-/// The message in shared memory: Zenoh copies it into packets before `put` returns, then drops it.
+/// The message in shared memory, without a copy: Zenoh copies it into packets before `put` returns, then drops it.
 fn in_place(sample: RawSample) -> ZBytes {
     ZBuf::from(ZSlice::from(Serialized(sample))).into()
 }

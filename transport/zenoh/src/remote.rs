@@ -15,7 +15,7 @@ pub(crate) enum RemoteEntity {
     Service(ServiceEndpoint),
 }
 
-/// Its entity, in terms of the domain.
+/// The entity that a token announces, in terms of the domain.
 pub(crate) fn entity(token: &Token) -> RemoteEntity {
     let Some(end) = &token.endpoint else { return RemoteEntity::Node(node(&token.node)) };
     match end.kind {

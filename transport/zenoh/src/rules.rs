@@ -22,7 +22,7 @@ pub const SMALL_BYTES: usize = 1024;
 pub const BULK_BYTES: usize = 64 << 10;
 
 impl Urgency {
-    /// By the size of a body.
+    /// The urgency of a topic without a rule, by the size of a body.
     pub fn by_size(bytes: usize) -> Self {
         match bytes {
             // Not express: an idle link sends at once anyway, and batches use a busy one better.
@@ -83,8 +83,8 @@ impl Rule {
     }
 }
 
-/// The first rule that matches `topic`.
-pub(crate) fn ruled(rules: &[Rule], topic: &str) -> Option<Urgency> {
+/// The urgency of the first rule that matches `topic`.
+pub(crate) fn urgency_of(rules: &[Rule], topic: &str) -> Option<Urgency> {
     rules.iter().find(|rule| rule.topics.matches(topic)).map(|rule| rule.urgency)
 }
 
@@ -98,10 +98,10 @@ mod tests {
             .map(|text| text.parse().unwrap())
             .into();
         let urgency = |priority, express| Some(Urgency { priority, express });
-        assert_eq!(ruled(&rules, "/imu"), urgency(Priority::RealTime, true));
-        assert_eq!(ruled(&rules, "/camera/left/image"), urgency(Priority::Background, false));
-        assert_eq!(ruled(&rules, "/odom"), urgency(Priority::Data, false));
-        assert_eq!(ruled(&rules[..2], "/odom"), None);
+        assert_eq!(urgency_of(&rules, "/imu"), urgency(Priority::RealTime, true));
+        assert_eq!(urgency_of(&rules, "/camera/left/image"), urgency(Priority::Background, false));
+        assert_eq!(urgency_of(&rules, "/odom"), urgency(Priority::Data, false));
+        assert_eq!(urgency_of(&rules[..2], "/odom"), None);
         let order = [0, SMALL_BYTES, SMALL_BYTES + 1, BULK_BYTES - 1, BULK_BYTES, usize::MAX];
         let priorities = order.map(|bytes| Urgency::by_size(bytes).priority as u8);
         assert!(priorities.is_sorted() && priorities[0] < priorities[2] && priorities[3] < priorities[4]);
@@ -117,7 +117,7 @@ mod tests {
             priorities.concat()
         );
         let rules = Rule::of_system(&SystemFile::parse(&text).unwrap()).unwrap();
-        let of = |topic: &str| ruled(&rules, topic);
+        let of = |topic: &str| urgency_of(&rules, topic);
         assert_eq!(of("/imu"), Some(Urgency { priority: Priority::Data, express: false }));
         assert_eq!(of("/odom"), None);
         let order = LinkPriority::ALL.map(|priority| of(&format!("/{}", priority.as_str())).unwrap());

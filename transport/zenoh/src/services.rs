@@ -21,12 +21,12 @@ use zenoh::cancellation::CancellationToken;
 use zenoh::query::{ConsolidationMode, Query, QueryTarget, Queryable, Reply};
 use zenoh::{Session, Wait};
 
-/// Maximum of queries and replies that wait for the thread; further ones end without a response.
+/// Maximum of queries and replies that wait for the services thread; further ones are dropped, and their requests get no response.
 const MOST_WAITING: usize = 4096;
-/// Zenoh's time-out; clients' own are shorter. An action's result may take any time.
+/// Zenoh's time-out of a query; time-outs of clients are shorter. An action's result may take any time.
 const TIMEOUT: Duration = Duration::from_secs(7 * 24 * 3600);
-/// Maximum of pending queries of a service: if its server is silent, the oldest end before that time. Another gateway gives up the oldest
-/// of far fewer at once.
+/// Maximum of pending queries of a service: if its server is silent, the oldest queries end before their time-out. A gateway on the
+/// server's host gives up the oldest when far fewer are pending.
 const MOST_PENDING: usize = 4096;
 
 pub(crate) struct NetworkServices {
@@ -62,7 +62,7 @@ impl ThreadWaker {
 impl ArcWake for ThreadWaker {
     fn wake_by_ref(waker: &Arc<Self>) {
         waker.is_woken.store(true, Ordering::SeqCst);
-        // Before it starts it does not wait.
+        // Before the thread has started it does not sleep.
         if let Some(thread) = waker.thread.get() {
             thread.unpark();
         }
@@ -80,7 +80,7 @@ impl<T> Inbox<T> {
         Arc::new(Inbox { waiting: PiMutex::new(VecDeque::new()), waker: waker.clone() })
     }
 
-    /// Returns whether there was room.
+    /// Appends an item, unless `most` wait already. Returns whether there was room.
     fn push(&self, item: T, most: usize) -> bool {
         let room = |waiting: usize| (waiting < most).then_some(waiting + 1);
         let has_room = self.waker.waiting.fetch_update(Ordering::Relaxed, Ordering::Relaxed, room).is_ok();
@@ -185,7 +185,7 @@ impl FarServices for NetworkServices {
     }
 }
 
-/// The server on the network of a service of this host.
+/// The queryable on the network for a service of this host.
 pub(crate) struct Server {
     queries: Arc<Inbox<Query>>,
     max_bytes: usize,
@@ -235,7 +235,7 @@ impl FarServer for Server {
     }
 }
 
-/// Replies with an error.
+/// Replies to a query with an error.
 fn refuse(query: &Query, reason: &str) {
     // Ignored: the client has ended.
     let _ = query.reply_err(reason).wait();
@@ -257,7 +257,7 @@ struct Cancel(CancellationToken);
 
 impl Drop for Cancel {
     fn drop(&mut self) {
-        // Ignored: then it ends by itself.
+        // Ignored: the query then ends at its time-out.
         let _ = self.0.cancel().wait();
     }
 }
@@ -270,7 +270,7 @@ enum Outcome {
     Unanswered(i64),
 }
 
-/// A pending query. Dropped with it, when no more replies come.
+/// A pending query. Zenoh drops it with the query's callback, when no more replies come.
 struct PendingQuery {
     outcomes: Arc<Inbox<Outcome>>,
     key: String,
@@ -323,7 +323,7 @@ impl Client {
             .cancellation_token(token)
             .callback(move |reply| asked.receive(&reply));
         if let Err(error) = query.wait() {
-            // Dropping its callback ends it as unanswered.
+            // Zenoh has dropped the callback, which ends the query as unanswered.
             tracing::warn!("{}: a request is not sent: {error}", self.key);
         }
     }
@@ -332,12 +332,12 @@ impl Client {
 impl FarClient for Client {
     const IS_POLLED: bool = false;
 
-    /// The relay creates it only while another host has a server.
+    /// True: the relay creates the client only while another host has a server.
     fn is_available(&mut self) -> bool {
         true
     }
 
-    /// Zenoh ends the queries of servers that have ended.
+    /// None: Zenoh itself ends the queries of servers that have ended.
     fn set_servers(&mut self, _: &BTreeSet<ServerId>) -> Vec<RequestId> {
         Vec::new()
     }

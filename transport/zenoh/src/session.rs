@@ -43,11 +43,11 @@ pub enum SessionError {
     },
 }
 
-/// How often the caller is asked whether to go on.
+/// Interval of calls to `go_on`.
 const POLL: Duration = Duration::from_millis(50);
 
-/// Opens a session whose threads have `policy`, while `go_on` is true: a client's opens only once it has its link. A session that is open
-/// after that closes at once.
+/// Opens a session whose threads have `policy`. Gives up when `go_on` returns false: a client's session opens only once it has its link.
+/// A session that opens after that is closed at once.
 pub(crate) fn open(
     config: SessionConfig,
     policy: Policy,
@@ -60,7 +60,7 @@ pub(crate) fn open(
         let session = zenoh::open(zenoh_config)
             .wait()
             .map_err(|error| SessionError::Open { reason: error.to_string(), listen: listen.clone() })?;
-        // Zenoh leaves a socket's mode to the umask.
+        // Zenoh creates a socket with the mode that the umask leaves.
         for path in listen.iter().filter_map(|endpoint| socket_path(endpoint)) {
             let only_user = Permissions::from_mode(0o600);
             std::fs::set_permissions(path, only_user)

@@ -47,14 +47,14 @@ pub(crate) struct NetworkSide {
     session: Session,
     state: Arc<GatewayState>,
     graph: Graph,
-    /// Whether the graph differs from the published one.
+    /// Whether the graph differs from the one in `state.remote`.
     is_unseen: bool,
     tokens: Tokens,
     /// The token changes to make next.
     changes: Vec<TokenChange>,
     types: Types,
     descriptions: Descriptions,
-    /// Incoming topics whose type is unknown here.
+    /// Incoming topics whose type's definition is unknown on this host.
     undescribed: BTreeSet<TopicKey>,
 }
 
@@ -130,7 +130,7 @@ impl NetworkSide {
         }
     }
 
-    /// Requests kept samples of publishers that the graph has and that have not answered.
+    /// Requests kept samples again from publishers in the graph that have not answered.
     fn retry_kept(&mut self) {
         if !self.incoming.values().any(Incoming::is_kept) {
             return;
@@ -147,8 +147,8 @@ impl NetworkSide {
     /// Requests all tokens again, after some were dropped or refused.
     fn resync(&mut self) {
         let wildcard = token_wildcard(self.options.domain_there());
-        // Room for this session's tokens and twice the graph's capacity: most of the rest would be refused. Zenoh's own queue is
-        // short, and this session's own replies would wait for a reader that is still sending the request.
+        // Room for this session's tokens and twice the graph's capacity: most further tokens would be refused. Not Zenoh's own channel,
+        // which is short: the replies for this session's own tokens would wait for this thread, which is still sending the request.
         let (answers, keys) = mpsc::channel();
         let most = self.options.limits.tokens.saturating_mul(2).saturating_add(self.declared.len());
         let room = Arc::new(AtomicUsize::new(most));
@@ -168,7 +168,7 @@ impl NetworkSide {
         }
         // Ends when Zenoh drops the sender, at the latest after the time-out.
         let there: BTreeSet<String> = keys.iter().collect();
-        // In a flood, honest peers' tokens may be missing here for lack of room: then none is removed.
+        // In a flood, tokens of honest peers may be missing for lack of room: then no token is removed from the graph.
         let is_complete = room.load(Ordering::Relaxed) > 0;
         let gone = self.graph.keys().filter(|key| is_complete && !there.contains(*key));
         for key in gone.map(String::from).collect::<Vec<_>>() {
@@ -196,7 +196,7 @@ impl FarSide for NetworkSide {
             NetworkEvent::TokenDown(key) => {
                 let was_there = self.graph.remove(&key);
                 if self.graph.wants_resync() {
-                    // With the next tick, because it takes a while.
+                    // At the next tick, because a resync takes a while.
                     events::set_missed();
                 }
                 was_there
@@ -223,8 +223,8 @@ impl FarSide for NetworkSide {
             let remote: Vec<Token> = self.graph.tokens().cloned().collect();
             *self.state.remote.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(remote);
         }
-        let mut there = self.graph.there();
-        // The gateway's own announcements are left alone if they return.
+        let mut there = self.graph.far_graph();
+        // The gateway's own publishers count as known, so that their messages are ignored if they return.
         for (topic, gid) in self.tokens.publishers() {
             if let Some(publishers) = there.publishers.get_mut(topic) {
                 publishers.insert(gid);
@@ -237,8 +237,8 @@ impl FarSide for NetworkSide {
         let (graph, types) = (&self.graph, &mut self.types);
         let hash_of = |topic: &str, name: &_| types.hash_of(name).or_else(|| graph.hash_of(topic, name));
         let mut ends = locals::list(here, hash_of);
-        // The gateway itself serves type descriptions: for nodes of this host that do not, and for nodes elsewhere, because no
-        // client here would use theirs.
+        // The gateway itself serves type descriptions: for local nodes without such a server, and for nodes that relays announce
+        // here, because no local client would call their servers.
         let descriptions = &self.descriptions;
         ends.retain(|end| end.origin.is_here() || !descriptions.is_theirs(end));
         here.services.retain(|end| end.origin.is_here() || !descriptions.answers_for(end));
@@ -325,7 +325,7 @@ impl FarSide for NetworkSide {
 
     fn start_in(&mut self, key: &InKey, inward: &Inward, ingress: Ingress) -> Result<(), String> {
         let wire_key = self.wire_key(&key.topic)?;
-        // After a restart, kept samples are requested again, so that the new port has them for late joiners here.
+        // After a restart, kept samples are requested again, so that the new port has them for local late joiners.
         let old = self.incoming.remove(key);
         if self.types.schema(&wire_key.type_id).is_none() {
             self.undescribed.insert(wire_key.clone());

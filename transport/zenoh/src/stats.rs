@@ -35,7 +35,7 @@ pub struct Stats {
     pub domain: u32,
     /// The domain on the network.
     pub network_domain: u32,
-    /// Session id in Zenoh.
+    /// Zenoh's session id.
     pub zid: String,
     /// Seconds since start.
     pub uptime_s: f64,
@@ -43,7 +43,7 @@ pub struct Stats {
     pub links: usize,
     /// Nodes of other hosts.
     pub remote_nodes: usize,
-    /// Publishers and subscriptions of other hosts.
+    /// Publishers, subscriptions, services and clients of other hosts.
     pub remote_endpoints: usize,
     /// Tokens refused: over the limit, or malformed by reason.
     pub refused_tokens: BTreeMap<String, u64>,
@@ -81,7 +81,7 @@ impl ServiceNames {
     }
 }
 
-/// What a running gateway shows.
+/// State that the control thread shares with the [`Gateway`](crate::Gateway).
 pub(crate) struct GatewayState {
     pub(crate) stop: AtomicBool,
     pub(crate) stats: Mutex<Stats>,

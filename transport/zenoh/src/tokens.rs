@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The domain's liveliness tokens on the network: one for each node and endpoint. Decided here, declared elsewhere.
+//! The domain's liveliness tokens on the network: one for each node and endpoint. [`Tokens`] decides; the caller declares them.
 
 use crate::origin::note;
 use crate::wire::{CPU_BACKEND, Endpoint, EndpointKind, NodeName, Token, TypeId, WireQos, endpoint_gid};
@@ -9,7 +9,7 @@ use tautline_transport::{Durability, Gid, Origin};
 /// A publisher, subscription, server or client of this host, or one that a bridge announces here.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct LocalEndpoint {
-    /// Identifies it on this host; for a publisher, the GID in its samples.
+    /// Identifies the endpoint on this host; for a publisher, the GID in its samples.
     pub(crate) gid: Gid,
     pub(crate) kind: EndpointKind,
     /// Fully qualified name.
@@ -22,7 +22,7 @@ pub(crate) struct LocalEndpoint {
     pub(crate) origin: Origin,
 }
 
-/// A change to make on the network, in this order.
+/// A change to make on the network.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum TokenChange {
     Declare(Token),
@@ -45,7 +45,7 @@ struct DeclaredEndpoint {
     wire_gid: Gid,
 }
 
-/// Finds an endpoint's node token: the node's full name, and the origin of both, without its tag.
+/// Identifies the node of an endpoint: the node's full name, and the origin of both, without its tag.
 type NodeKey = (String, Origin);
 
 fn node_key(name: &NodeName, origin: &Origin) -> NodeKey {
@@ -69,7 +69,7 @@ impl Tokens {
         publishers.map(|declared| (&*declared.end.topic, declared.wire_gid))
     }
 
-    /// Announces exactly these nodes and endpoints; also that publishers with tags in `ended` ended normally.
+    /// The changes, in order, that announce exactly these nodes and endpoints, and that publishers with tags in `ended` ended normally.
     pub(crate) fn update(
         &mut self,
         nodes: &[(NodeName, Origin)],
@@ -77,7 +77,7 @@ impl Tokens {
         ended: &HashSet<u64>,
     ) -> Vec<TokenChange> {
         let mut changes = Vec::new();
-        // By name and path: endpoints identify their nodes no further.
+        // By name and path: an endpoint states nothing else about its node.
         let mut wanted = BTreeMap::<NodeKey, BTreeSet<(NodeName, Origin)>>::new();
         for (name, origin) in nodes {
             wanted.entry(node_key(name, origin)).or_default().insert((name.clone(), origin.clone()));
@@ -98,7 +98,7 @@ impl Tokens {
                 self.nodes.insert(key.clone(), token);
             }
         }
-        // Of several nodes, the oldest gets the endpoints.
+        // Of several nodes with one key, the oldest gets the endpoints.
         let oldest = |nodes: &BTreeSet<(NodeName, Origin)>| {
             nodes.iter().filter_map(|node| self.nodes.get(node)).map(|token| token.node_id).min()
         };
@@ -106,7 +106,7 @@ impl Tokens {
             wanted.iter().filter_map(|(key, nodes)| Some((key.clone(), oldest(nodes)?))).collect();
         let node_of = |end: &LocalEndpoint| node_ids.get(&node_key(&end.node, &end.origin)).copied();
         let now: BTreeMap<Gid, LocalEndpoint> = ends.into_iter().map(|end| (end.gid, end)).collect();
-        // A changed endpoint gets a new token. Its old one is withdrawn last, so that others always see one.
+        // A changed endpoint gets a new token. Its old token is withdrawn last, so that other hosts always see one.
         let mut replaced = Vec::new();
         self.ends.retain(|gid, declared| match now.get(gid) {
             Some(end) if *end == declared.end && node_of(end) == Some(declared.token.node_id) => true,
@@ -145,7 +145,7 @@ impl Tokens {
 
     fn token(&mut self, end: &LocalEndpoint, node_id: u64) -> Token {
         let LocalEndpoint { kind, topic, type_id, qos, node, origin, .. } = end.clone();
-        // Newer nodes then know the key to send on: see `TopicKey::cpu_group`.
+        // Tells publishers of newer nodes on which key to send: see `TopicKey::cpu_group`.
         let is_volatile = kind == EndpointKind::Subscription && qos.durability == Durability::Volatile;
         let suffix = if is_volatile { CPU_BACKEND.to_owned() } else { String::new() };
         let endpoint = Endpoint { id: self.id(), kind, name: topic, type_id, qos, suffix };

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Type definitions on this host: those stored by nodes that opened a topic, and those of a sourced ROS 2 (`AMENT_PREFIX_PATH`).
-//! They are optional: a topic that states no hash gets one of the latter, and incoming messages are validated against the
-//! definition.
+//! They are optional: a topic that states no hash gets that of a definition of the sourced ROS 2, and incoming messages are validated
+//! against the definition.
 
 use crate::wire::TypeId;
 use std::collections::HashMap;
@@ -21,7 +21,7 @@ impl Types {
         Types { store, packages, found: HashMap::new() }
     }
 
-    /// The hash of this name's definition.
+    /// The hash of the definition with this name.
     pub(crate) fn hash_of(&mut self, name: &TypeName) -> Option<TypeHash> {
         self.find(name).map(|schema| schema.hash())
     }
@@ -29,7 +29,7 @@ impl Types {
     /// The definition of this type, with the same name and hash.
     pub(crate) fn schema(&mut self, id: &TypeId) -> Option<Arc<Schema>> {
         let is_it = |schema: &Arc<Schema>| schema.hash() == id.hash;
-        // The stored definition is untrusted. Not cached: it is read only when a topic starts to come in.
+        // The stored definition is untrusted. It is not cached, because it is read only when the gateway starts taking a topic.
         let kept = self.store.read(&id.hash.to_string()).ok().flatten();
         let kept = kept.and_then(|claimed| Schema::from_text(&id.name, &claimed.text).ok()).map(Arc::new);
         kept.filter(is_it).or_else(|| self.find(&id.name).filter(is_it))

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Messages that need shared memory which is not claimed yet: the first ones, and ones longer than all before. Claiming some MiB
-//! takes milliseconds, in which Zenoh's thread would receive nothing of any topic, so they wait for a thread that may claim.
+//! Messages that need shared memory which is not claimed yet: the first messages, and messages longer than all before. Claiming some
+//! MiB takes milliseconds, in which Zenoh's thread would receive nothing of any topic, so they wait for a thread that may claim.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -10,9 +10,9 @@ use tautline_rt::{JoinHandle, RtError, ThreadBuilder};
 use tautline_transport::{LoanError, MemoryClaimer};
 use zenoh::sample::Sample;
 
-/// Maximum of bytes that wait, of all topics; one message of any length may wait alone.
+/// Maximum of waiting bytes of all topics together; a single message may exceed it if no other one waits.
 const MOST_BYTES: usize = 256 << 20;
-/// What a message takes besides its body.
+/// Memory of a waiting message besides its body.
 const OVERHEAD_BYTES: usize = 1024;
 
 /// The thread that claims memory; dropping this ends it.
@@ -21,7 +21,7 @@ pub(crate) struct ClaimThread {
     thread: Option<JoinHandle<()>>,
 }
 
-/// Its queue: topics whose messages wait, each once; `None` ends it.
+/// The thread's queue: topics whose messages wait, each once; `None` ends the thread.
 #[derive(Clone)]
 pub(crate) struct ClaimQueue {
     topics: mpsc::Sender<Option<Weak<dyn Claimant>>>,
@@ -56,16 +56,16 @@ impl Drop for ClaimThread {
     }
 }
 
-/// A topic whose messages wait.
+/// A topic whose messages wait for memory.
 pub(crate) trait Claimant: Send + Sync {
-    /// Passes the first message that waits, if its memory is there.
+    /// Passes the first waiting message, if its memory is claimed. `claimed` is the outcome of a claim for it.
     fn pass_waiting(&self, claimed: Claimed) -> Next;
 }
 
 /// What to do next for a topic whose messages wait.
 #[derive(Default)]
 pub(crate) enum Next {
-    /// Nothing: none waits.
+    /// Nothing: no message waits.
     #[default]
     Done,
     Pass,
@@ -73,7 +73,7 @@ pub(crate) enum Next {
     Claim(MemoryClaimer, usize),
 }
 
-/// Claims without the topic's lock, and gives it up after each message: the receiving threads are waiting for it.
+/// Claims without the topic's lock, and releases the lock after each message, because the receiving threads wait for it.
 fn pass_waiting(gate: &dyn Claimant) {
     let mut claimed = None;
     loop {
@@ -85,7 +85,7 @@ fn pass_waiting(gate: &dyn Claimant) {
     }
 }
 
-/// The outcome of a claim for the first message that waits; `None`: there was none.
+/// The outcome of a claim for the first waiting message; `None`: nothing was claimed.
 pub(crate) type Claimed = Option<Result<(), LoanError>>;
 
 /// A topic's messages that wait for memory, in order.
@@ -104,7 +104,7 @@ impl Unclaimed {
         self.messages.is_empty()
     }
 
-    /// Returns whether there is room for it.
+    /// Appends a message, if there is room. Returns whether there was.
     pub(crate) fn push(&mut self, sample: Sample, source: MessageMeta) -> bool {
         let bytes = bytes(&sample);
         let admitted =

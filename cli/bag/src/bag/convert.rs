@@ -92,7 +92,7 @@ pub fn write(
     } else {
         sum.write(&new.output, &converted.files, out)
     };
-    // What is damaged counts, also where nobody reads this.
+    // Damage takes precedence over an error of printing.
     whole(&converted.damage, converted.damages)?;
     printed.map_err(Failure::from)
 }

@@ -207,7 +207,7 @@ fn info(bag: &Path, is_json: bool) -> Outcome {
     }
 }
 
-/// Damaged parts besides the first.
+/// The number of damaged parts besides the first, in words.
 fn more(damages: u64) -> String {
     match damages {
         0 | 1 => String::new(),
@@ -260,7 +260,7 @@ fn check(bag: &Path, is_json: bool) -> Outcome {
     let first = damage.first().map_or(bag, |(path, _)| path);
     let recover = advice(bag, first);
     match (damages, described) {
-        // What is damaged counts, also where nobody reads this.
+        // Damage takes precedence over an error of printing.
         (0, Ok(())) => printed.map_err(Failure::from),
         (0, Err(error)) => Err(Failure::no(format!("{error}; {recover}, and writes it"))),
         _ => Err(Failure::no(format!("damaged in {damages} places; {recover}"))),
@@ -337,7 +337,7 @@ fn cut(args: &CutArgs, common: &CommonArgs) -> Outcome {
     convert::write(std::slice::from_ref(&args.bag), &args.new, Storage::Mcap, hooks, common)
 }
 
-/// Fails if there was damage, of so many parts.
+/// Fails if there was damage; `damages` is the number of damaged parts.
 fn whole(damage: &[(PathBuf, Damage)], damages: u64) -> Outcome {
     let Some((path, Damage { offset, what })) = damage.first() else { return Ok(()) };
     let (path, more) = (path.display(), more(damages));

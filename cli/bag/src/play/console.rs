@@ -16,7 +16,7 @@ const LOOK: Duration = Duration::from_millis(20);
 enum Word {
     Pause,
     Step,
-    /// To this time from the bag's start.
+    /// Continue at this time from the bag's start.
     Seek(Duration),
 }
 
@@ -31,7 +31,7 @@ fn word(line: &str) -> Result<Word, String> {
     }
 }
 
-/// From now on SIGUSR1 pauses or resumes playing, and SIGUSR2 plays one message.
+/// Makes SIGUSR1 pause or resume playing, and SIGUSR2 play one message.
 pub fn listen(control: &Arc<Control>) -> Outcome {
     use signal_hook::consts::{SIGUSR1, SIGUSR2};
     let mut signals = signal_hook::iterator::Signals::new([SIGUSR1, SIGUSR2])

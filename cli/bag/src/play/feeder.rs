@@ -149,7 +149,7 @@ impl Feeder {
         let mut kept = vec![Latched::default(); self.parts.len()];
         let mut has_begun = false;
         while let Some(message) = self.bag.next_message().map_err(Halt::Failed)? {
-            self.still(generation)?;
+            self.check_halt(generation)?;
             let Some(part) = self.numbers.get(message.topic) else {
                 *untold += 1;
                 continue;
@@ -167,7 +167,7 @@ impl Feeder {
             if message.stamp.log_ns > self.to_ns {
                 break;
             }
-            self.give(part, &message, message.stamp.log_ns, generation, unplayable)?;
+            self.feed(part, &message, message.stamp.log_ns, generation, unplayable)?;
         }
         if !has_begun {
             self.begin(&mut kept, (from_ns, pass), generation, unplayable)?;
@@ -198,14 +198,14 @@ impl Feeder {
         let begin = mark(BEGIN, from_ns.max(self.start_ns), generation);
         self.put(Head { publish_ns: pass, ..begin }, &[], generation)?;
         let mut give = |(part, message): &(usize, OwnedMessage)| {
-            self.give(*part, message, from_ns, generation, unplayable)
+            self.feed(*part, message, from_ns, generation, unplayable)
         };
         latched.iter().try_for_each(&mut give)?;
         self.latched = Some((from_ns, latched));
         Ok(())
     }
 
-    fn give(
+    fn feed(
         &mut self,
         part: usize,
         message: &OwnedMessage,
@@ -248,7 +248,7 @@ impl Feeder {
     fn put(&mut self, head: Head, body: &[u8], generation: u64) -> Result<(), Halt> {
         while self.producer.slots() < HEAD_BYTES + body.len() {
             self.control.is_filled.store(true, Ordering::Release);
-            self.still(generation)?;
+            self.check_halt(generation)?;
             std::thread::sleep(PERIOD);
         }
         let parts: [&[u8]; 2] = [&head.to_bytes(), body];
@@ -257,7 +257,7 @@ impl Feeder {
     }
 
     /// Returns the reason if feeding must not continue at this place.
-    fn still(&self, generation: u64) -> Result<(), Halt> {
+    fn check_halt(&self, generation: u64) -> Result<(), Halt> {
         if self.control.is_stopped()
             || self.control.is_over.load(Ordering::Acquire)
             || self.producer.is_abandoned()
@@ -275,7 +275,7 @@ impl Feeder {
         }
         self.control.is_filled.store(true, Ordering::Release);
         loop {
-            match self.still(generation) {
+            match self.check_halt(generation) {
                 Ok(()) => std::thread::sleep(PERIOD),
                 Err(halt) => return halt,
             }

@@ -160,7 +160,7 @@ pub fn run(args: &PlayArgs) -> Outcome {
     let control = Arc::new(Control::default());
     control.is_paused.store(args.paused, Ordering::Relaxed);
     console::listen(&control)?;
-    // Until then a signal ends the process at once.
+    // Until `End::of` below, a signal ends the process at once.
     let bag = {
         let since = Instant::now();
         let tell = &mut |path: &Path| {
@@ -328,7 +328,7 @@ impl PlayArgs {
         }
     }
 
-    /// How a topic is played, or why it cannot be.
+    /// The role of a topic, or the reason why it cannot be played.
     fn role(&self, topic: &Arc<Topic>) -> Result<Role, String> {
         let name = self.remap.iter().find(|(from, _)| *from == topic.name).map_or(&topic.name, |(_, to)| to);
         let unplayable = |why: &dyn Display| format!("{} cannot be played: {why}", topic.name);

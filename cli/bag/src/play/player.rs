@@ -15,9 +15,9 @@ use taut_cli::times::Times;
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_transport::{MessageInfo, PublishError, RawLoan, RawPublisher, SendError};
 
-/// In place of a topic: a pass begins here, and with it a new origin of times.
+/// The topic number of a mark in the ring: a pass begins here, and with it a new origin of times.
 pub const BEGIN: u32 = u32::MAX;
-/// In place of a topic: the end of the bag.
+/// The topic number of a mark in the ring: the end of the bag.
 pub const END: u32 = u32::MAX - 1;
 
 /// The longest sleep.
@@ -83,7 +83,7 @@ pub struct Played {
     pub published: Vec<u64>,
     /// How late each message was published.
     pub late: Times,
-    /// The part of that which is the timer's: how late the thread woke for each message.
+    /// The timer's part of the lateness: how late the thread woke for each message.
     pub timer: Times,
     /// Messages that were not in memory yet when they were due.
     pub starved: u64,
@@ -236,7 +236,7 @@ impl<'r> Ring<'r> {
         (there >= at + whole).then_some((head, whole))
     }
 
-    /// Copies the bytes at an offset, which are there, until `to` is full.
+    /// Fills `to` with the bytes at an offset, which the ring must hold.
     fn copy(self, at: usize, to: &mut [u8]) {
         let from = &self.0[at.min(self.0.len())..];
         let (front, back) = to.split_at_mut(from.len().min(to.len()));
@@ -292,7 +292,7 @@ impl<'p> Ahead<'p> {
         Ok(loan)
     }
 
-    /// The front message was removed from the ring.
+    /// Adjusts the offsets to the removal of the front message.
     fn pass(&mut self, whole: usize) {
         self.scanned = self.scanned.saturating_sub(whole);
         // A leap has passed over this message, so its loan is dropped unpublished.
@@ -318,16 +318,16 @@ impl Played {
     }
 }
 
-/// When things are due.
+/// Computes when messages and `/clock` are due.
 struct Pacing {
     /// A time of reception, and the time on `CLOCK_MONOTONIC` at which it is played.
     origin: (u64, u64),
     rate: f64,
     generation: u64,
     began_ns: u64,
-    /// When it last woke.
+    /// The time at which the thread last woke.
     woke_ns: u64,
-    /// The time of reception at which it is paused.
+    /// The time of reception at which playing is paused.
     paused_at: Option<u64>,
     clock: Option<Clock>,
     clock_due_ns: u64,
@@ -342,8 +342,8 @@ impl Pacing {
         self.tell_time(at_ns, true);
     }
 
-    /// Waits until a message is due, and returns that time. `None` if the player was stopped or a leap was requested. Meanwhile calls `work`
-    /// with the remaining time, as long as it returns that there is more to do.
+    /// Waits until a message is due, and returns that time. `None` if the player was stopped or a leap was requested. Calls `work`
+    /// with the remaining time meanwhile, as long as it returns that there is more to do.
     fn wait(&mut self, log_ns: u64, control: &Control, mut work: impl FnMut(u64) -> bool) -> Option<u64> {
         loop {
             if control.is_stopped() || control.generation.load(Ordering::Acquire) != self.generation {

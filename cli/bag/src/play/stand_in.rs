@@ -101,7 +101,7 @@ impl StandIn {
         Ok((name.to_owned(), namespace.to_owned()))
     }
 
-    /// From now on `taut report` sees that the node is played.
+    /// Creates the statistics file by which `taut report` sees that the node is played.
     pub fn show(&self, domain: u32, policy: Policy) -> Outcome<StatisticsFile> {
         let core = self.first().and_then(|callback| self.file.cores().get(callback.core));
         let about = ProcessInfo {

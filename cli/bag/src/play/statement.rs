@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What became of every message, in the end.
+//! Reports at the end what was played, what was not, and how late.
 
 use super::feeder::Fed;
 use super::player::Played;
@@ -26,7 +26,7 @@ impl Statement<'_> {
     pub fn print(self) -> Outcome {
         let out = &mut taut_cli::print::stdout();
         let printed = if self.args.common.json { self.json(out) } else { self.table(out) };
-        // The verdict counts, also where nobody reads this.
+        // The verdict takes precedence over an error of printing.
         self.verdict()?;
         printed.map_err(Failure::from)
     }
@@ -35,7 +35,7 @@ impl Statement<'_> {
         self.played.published.iter().sum()
     }
 
-    /// One for each topic, of all its publishers.
+    /// One row for each topic, summed over its publishers.
     fn rows(&self) -> Vec<(&Role, u64, u64)> {
         let mut rows: Vec<(&Role, u64, u64)> = Vec::new();
         let counts = self.played.published.iter().zip(&self.fed.unplayable);

@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The recorder runs on cores that no real-time thread of the domain is bound to, if there are any: its timers would interrupt
-//! them, and its copies take their caches.
+//! Keeps the recorder off the cores to which real-time threads of the domain are bound, if others are left: its timers would
+//! interrupt those threads, and its copies would take their caches.
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 use tautline_rt::{self as rt, CoreSet, Policy, RtError, ThreadInfo};
 
-/// From the end of one look to the next: this, and so many times as long as the look took.
+/// From the end of one scan to the next: this time, plus `SHARE` times the duration of the scan.
 const PAUSE: Duration = Duration::from_secs(1);
 const SHARE: u32 = 100;
 
 pub struct Aside {
-    /// Where this process may run, and where it does.
+    /// The cores on which this process may run, and those on which it runs.
     allowed: CoreSet,
     cores: CoreSet,
     next: Instant,
@@ -39,7 +39,7 @@ impl Aside {
             .flat_map(|thread| thread.cores.iter())
             .collect();
         let cores = besides(self.allowed, bound);
-        let said = (cores != self.cores).then(|| self.go(cores));
+        let said = (cores != self.cores).then(|| self.move_to(cores));
         self.next = Instant::now() + PAUSE + start.elapsed() * SHARE;
         said
     }
@@ -49,7 +49,7 @@ impl Aside {
         matches!(thread.policy, Policy::Fifo(_) | Policy::RoundRobin(_)) && !is_free
     }
 
-    fn go(&mut self, cores: CoreSet) -> String {
+    fn move_to(&mut self, cores: CoreSet) -> String {
         self.cores = cores;
         let moved = rt::threads().and_then(|threads| {
             // Threads inherit the cores of the thread that starts them. A listed thread may have ended since.
@@ -70,7 +70,7 @@ impl Aside {
     }
 }
 
-/// All of them, if nothing is left.
+/// The allowed cores that are not bound, or all allowed ones if none is left.
 fn besides(allowed: CoreSet, bound: CoreSet) -> CoreSet {
     let left: CoreSet = allowed.iter().filter(|core| !bound.contains(*core)).collect();
     if left.is_empty() { allowed } else { left }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Who writes messages to the disk, from the ring.
+//! The thread that writes messages from the ring to the disk.
 
 use super::channels::Channels;
 use super::observers::Announced;
@@ -15,12 +15,12 @@ use tautline_bag::{BagError, Finished, Stamp, TopicId, Writer};
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{Policy, ThreadBuilder};
 
-/// What a kill can cost.
+/// The interval between flushes. A kill loses what was written since the last one.
 const FLUSH: Duration = Duration::from_millis(500);
-/// Of a message that is written: the disk does not keep up, or does again.
+/// The age of a message that is being written: above the first the disk is behind, below the second it keeps up again.
 const BEHIND_NS: i64 = 250_000_000;
 const ABREAST_NS: i64 = 50_000_000;
-/// How often is looked whether there is something to write.
+/// The interval at which the writer checks for messages.
 const PERIOD: Duration = Duration::from_millis(10);
 
 pub struct BagWriter {
@@ -28,13 +28,13 @@ pub struct BagWriter {
     thread: tautline_rt::JoinHandle<Written>,
 }
 
-/// What is on the disk.
+/// The result of the writer.
 pub struct Written {
     pub finished: Result<Finished, BagError>,
-    /// Why nothing more was written.
+    /// The error after which nothing more was written.
     pub failed: Option<BagError>,
     pub messages: u64,
-    /// The longest that the disk took for a write.
+    /// The longest time that a write took.
     pub stall: Duration,
 }
 
@@ -55,9 +55,9 @@ impl BagWriter {
         Ok(BagWriter { statement, thread })
     }
 
-    /// When all is in the ring: the rest is written, and this.
+    /// Writes the rest of the ring, and then the statement. The reader must have ended.
     pub fn finish(self, statement: BTreeMap<String, String>) -> Outcome<Written> {
-        // If it ended before, it says why.
+        // If the thread has ended before, its result has the reason.
         let _ = self.statement.send(statement);
         Ok(self.thread.join()?)
     }
@@ -68,7 +68,7 @@ struct Work {
     consumer: Consumer<u8>,
     channels: Channels,
     ids: Vec<TopicId>,
-    /// A message that goes over the ring's end.
+    /// The copy of a message that wraps around the ring's end.
     scratch: Vec<u8>,
     messages: u64,
     /// From `CLOCK_MONOTONIC` to times of reception.
@@ -80,7 +80,7 @@ impl Work {
         let (mut flushed, mut stall) = (Instant::now(), Duration::ZERO);
         let failed = loop {
             let start = Instant::now();
-            let written = self.some().and_then(|is_more| {
+            let written = self.write_next().and_then(|is_more| {
                 // A silent topic is in the bag, too.
                 self.channels.refresh();
                 self.channels.write(&mut self.writer, &mut self.ids)?;
@@ -113,7 +113,7 @@ impl Work {
     }
 
     /// Decides by the age of the message that is written whether the disk keeps up: a kill loses everything newer.
-    fn look(&self, log_ns: u64) {
+    fn update_behind(&self, log_ns: u64) {
         let now_ns = monotonic_ns().cast_signed().saturating_add(self.offset_ns);
         let age_ns = now_ns.saturating_sub_unsigned(log_ns);
         if age_ns > BEHIND_NS {
@@ -123,15 +123,15 @@ impl Work {
         }
     }
 
-    /// Writes a message; `false` if there is none.
-    fn some(&mut self) -> Result<bool, BagError> {
+    /// Writes the next message. Returns `false` if there is none.
+    fn write_next(&mut self) -> Result<bool, BagError> {
         let mut head = [0; HEAD_BYTES];
         let Ok(chunk) = self.consumer.read_chunk(HEAD_BYTES) else { return Ok(false) };
         let (first, second) = chunk.as_slices();
         head[..first.len()].copy_from_slice(first);
         head[first.len()..].copy_from_slice(second);
         let head = Head::from_bytes(head);
-        self.look(head.log_ns);
+        self.update_behind(head.log_ns);
         let whole = HEAD_BYTES + head.cdr_bytes as usize;
         // The reader has not completed the message.
         let Ok(chunk) = self.consumer.read_chunk(whole) else { return Ok(false) };

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use tautline_bag::{BagError, PUBLISHER, Topic, TopicId, Writer};
 use tautline_transport::{Durability, Gid, Qos};
 
-/// A publisher is announced when the graph is looked at next; one that had ended by then is not.
+/// How long an announcement is waited for. A publisher that ends before the next refresh of the graph is never announced.
 const PATIENCE: Duration = Duration::from_millis(500);
 /// Publishers of a topic that have a topic of their own; others share one.
 const MOST_PUBLISHERS: usize = 1000;
@@ -21,7 +21,7 @@ pub struct Channels {
     announced: Receiver<Announced>,
     observers: Vec<Observed>,
     list: Vec<Channel>,
-    /// Until then an announcement is not waited for.
+    /// Announcements are not waited for before this time.
     waits_from: Instant,
 }
 
@@ -93,7 +93,7 @@ impl Channels {
             match self.announced.recv_timeout(left) {
                 Ok(announced) => self.add(announced),
                 Err(_) => {
-                    // Many that come and go do not stop the writer again and again.
+                    // Many short-lived publishers must not stop the writer again and again.
                     self.waits_from = now + 20 * PATIENCE;
                     return Some(self.unannounced(number));
                 }
@@ -163,7 +163,7 @@ impl Channels {
         })
     }
 
-    /// That of a publisher which was never announced: it is as those that were.
+    /// The channel of publishers that were never announced. It has the QoS of those that were.
     fn unannounced(&mut self, number: usize) -> usize {
         let observed = &mut self.observers[number];
         if let Some(shared) = observed.shared {

@@ -2,8 +2,8 @@
 //! Requests and responses as events, `package/srv/Name_Event`: what ROS 2's service introspection publishes, and rosbag2 records.
 //!
 //! An event is `service_msgs/ServiceEventInfo info`, `request[<=1]`, `response[<=1]`. The reader writes the fields in front of
-//! a response and copies the response after them, to a multiple of 8, for which it was encoded. A request begins 4 bytes before one, so the
-//! writer encodes it again.
+//! a response and copies the response after them, at a multiple of 8, as it was encoded. A request begins 4 bytes before such an offset, so
+//! the writer encodes it again.
 
 use crate::definitions;
 use std::sync::Arc;
@@ -89,7 +89,7 @@ impl Events {
         }
     }
 
-    /// The event of a request, with its encapsulation, from what the reader left.
+    /// The event of a request, with its encapsulation, from the bytes that the reader put into the ring.
     ///
     /// # Errors
     /// The bytes are not a request of the service.

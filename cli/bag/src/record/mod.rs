@@ -201,7 +201,7 @@ pub fn run(args: &RecordArgs) -> Outcome {
     let domain = args.common.domain()?;
     let mut end = End::of(&args.common)?;
     if let Some(cores) = args.cores {
-        // The threads that it starts inherit the cores.
+        // The threads that this one starts inherit the cores.
         rt::set_affinity(cores).map_err(|error| Failure::unusable(format!("--cores: {error}")))?;
     }
     let pause = Pause { wanted: flag(args.paused), is_paused: flag(args.paused) };
@@ -357,7 +357,7 @@ pub fn progress(json: bool) -> ProgressBar {
     progress
 }
 
-/// From now on SIGUSR1 and the enter key pause and resume the recording, or request that the black box is written.
+/// Makes SIGUSR1 and the enter key pause or resume the recording, or request that the black box is written.
 fn listen(toggled: &Arc<AtomicBool>) -> Outcome {
     let toggled = toggled.clone();
     let handle = move || {

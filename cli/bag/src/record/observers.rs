@@ -25,7 +25,7 @@ const QUEUE_BYTES: usize = 1 << 20;
 /// The depth of queues for requests, responses and an action's topics. A goal's states arrive together.
 const SERVICE_DEPTH: usize = 16;
 
-/// The subscription of a topic, for the reader. One of the number of another replaces its subscription.
+/// The subscription of a topic, for the reader. It replaces the subscription of an earlier observer of the same number.
 pub struct Observer {
     pub number: usize,
     pub part: Part,
@@ -45,7 +45,7 @@ pub struct Counts {
     pub lost: AtomicU64,
 }
 
-/// What the writer is told about observers, in the order of their numbers, and about publishers.
+/// The announcements to the writer: of observers, in the order of their numbers, and of publishers.
 pub enum Announced {
     /// An observer's messages are in the bag as they are. The QoS is that of publishers that keep nothing for late joiners.
     Topic(Topic),
@@ -84,7 +84,7 @@ pub struct Observers {
     is_fetching: bool,
     throttle: Vec<(String, f64)>,
     epoch: Option<u32>,
-    /// The system refused a look, of which the user was warned.
+    /// The system refused to let the graph be read, and the user was warned.
     is_refused: bool,
     /// The processes that have endpoints in the domain.
     processes: BTreeSet<u32>,
@@ -105,14 +105,14 @@ pub struct Observers {
     announced: HashSet<(usize, Gid)>,
 }
 
-/// The other threads' ends: a topic is announced to the writer before the reader gets the observer of the same number.
+/// The other threads' ends of the channels. A topic is announced to the writer before the reader gets the observer of the same number.
 pub struct NewObservers {
     pub observers: Receiver<Observer>,
     pub announced: Receiver<Announced>,
 }
 
 impl Observers {
-    /// From now on the messages of new publishers are recorded or counted.
+    /// Begins the recording: from now on each message of a new publisher is recorded, or counted as missed.
     pub fn new(participant: Participant, choice: Choice, args: &RecordArgs) -> Outcome<(Self, NewObservers)> {
         let graph = participant.graph()?;
         let publishers = graph.endpoints.iter().filter(|end| end.kind == EndpointKind::Publisher);
@@ -142,12 +142,12 @@ impl Observers {
         Ok((here, NewObservers { observers, announced }))
     }
 
-    /// Who has ends in the domain, but for this process.
+    /// The processes that have endpoints in the domain, except this one.
     pub fn processes(&self) -> &BTreeSet<u32> {
         &self.processes
     }
 
-    /// Looks whether there are topics that are new.
+    /// Adds observers for new topics and services, and announces new publishers, if the graph has changed.
     pub fn look(&mut self, tell: impl Fn(&str)) -> Outcome {
         let epoch = Some(self.participant.graph_epoch());
         if epoch == self.epoch {
@@ -193,7 +193,7 @@ impl Observers {
         Ok(())
     }
 
-    /// Both halves of a service's events.
+    /// Adds two observers for a service's events, of its requests and its responses, unless it has them.
     fn seat_service(&mut self, service: &ServiceEndpoint, tell: &impl Fn(&str)) -> Outcome {
         let name = format!("{}{EVENTS}", service.name);
         if !self.choice.takes(&name, &service.type_name) || self.refused.contains(&name) {
@@ -232,7 +232,7 @@ impl Observers {
         Ok(())
     }
 
-    /// The writer hears of each publisher of a topic once.
+    /// Announces each publisher of a topic to the writer once.
     fn announce(&mut self, number: Option<usize>, publisher: &TopicEndpoint) {
         let (gid, qos) = (publisher.gid, publisher.qos);
         if let Some(number) = number.filter(|number| self.announced.insert((*number, gid))) {
@@ -241,13 +241,13 @@ impl Observers {
     }
 
     fn add(&mut self, topic: RecordedTopic, announced: Announced) {
-        // The writer ends before this only with an error of its own, which is told.
+        // The writer ends before this only with an error, which it reports itself.
         let _ = self.to_writer.send(announced);
         self.numbers.entry(topic.topic.name.clone()).or_default().push(self.topics.len());
         self.topics.push(topic);
     }
 
-    /// The reader takes the messages of this observer from there now.
+    /// Makes the reader take the messages of this observer from the subscription from now on.
     fn take_place(&self, number: usize, subscription: RawSubscription, is_renewed: bool) {
         let RecordedTopic { topic, part, counts, .. } = &self.topics[number];
         let hz = self.throttle.iter().find(|(name, _)| *name == topic.name).map(|(_, hz)| *hz);
@@ -257,7 +257,7 @@ impl Observers {
         let _ = self.to_taker.send(observer);
     }
 
-    /// The recorder goes on after a pause: it gets again what publishers keep for late joiners.
+    /// Subscribes again after a pause, to the topics whose publishers keep messages for late joiners.
     pub fn renew(&self, tell: impl Fn(&str)) -> Outcome {
         let graph = match self.participant.graph() {
             Err(error) if error.is_passing() => {
@@ -303,7 +303,7 @@ impl Observers {
         Ok(self.participant.create_observer(name, topic_type, depth, limits)?)
     }
 
-    /// `ends` are those of the topic, `end` is one of its publishers. Its observer's number, if it is recorded.
+    /// Observes the topic of the publisher `end`; `ends` are the topic's endpoints. Returns the observer's number, if there is one.
     fn observe(
         &mut self,
         graph: &GraphSnapshot,
@@ -341,7 +341,7 @@ impl Observers {
         Ok(Some(number))
     }
 
-    /// Topics by their numbers, with the messages that came.
+    /// The number, the name and the count of messages of each topic.
     pub fn heard(&self) -> impl Iterator<Item = (usize, &str, u64)> {
         let topics = self.topics.iter().enumerate().filter(|(_, topic)| topic.part == Part::Message);
         topics.map(|(number, topic)| {
@@ -362,7 +362,7 @@ impl Observers {
         format!("{topics} topics, {messages} messages, {megabytes:.1} MB, {lost} lost")
     }
 
-    /// Topics in the order of their numbers; publishers that were there before; topics that should be there, and why they are not.
+    /// Topics in the order of their numbers; publishers that were there before; names of chosen topics that were not recorded.
     pub fn end(self) -> (Vec<RecordedTopic>, HashSet<Gid>, Vec<String>) {
         let named = self.choice.named().iter().filter(|name| !self.numbers.contains_key(*name));
         let absent = named.chain(&self.refused).cloned().collect::<BTreeSet<_>>();

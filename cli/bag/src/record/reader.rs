@@ -20,7 +20,7 @@ use tautline_transport::{Gid, RawSample, RawSubscription, TakeError};
 const MOST_AT_ONCE: usize = 4096;
 /// The clock is read once for this number of topics without messages.
 const AT_A_TIME: usize = 32;
-/// The longest time before it is looked whether the recording ends.
+/// The longest time between two checks whether the recording has ended.
 const LONGEST_SLEEP_NS: u64 = 100_000_000;
 /// How long the end of a recording waits for the disk.
 const PATIENCE_NS: u64 = 30_000_000_000;
@@ -40,7 +40,7 @@ pub struct Reader {
     /// From `CLOCK_MONOTONIC` to the times in the bag.
     offset_ns: i64,
     began_ns: u64,
-    /// Since when messages are recorded: from the beginning, or from the end of the last pause.
+    /// The time from which messages are recorded: the beginning, or the end of the last pause.
     since_ns: u64,
     /// Messages that are published later are not recorded.
     until_ns: u64,
@@ -136,7 +136,7 @@ impl Reader {
         let (mut next_ns, mut is_paused) = (self.began_ns, false);
         loop {
             let is_last = self.stop.load(Ordering::Acquire);
-            // Before the observers that are new at the end of a pause.
+            // Read before the observers that are sent at the end of a pause.
             let was_paused = std::mem::replace(&mut is_paused, self.pace.is_paused.load(Ordering::Acquire));
             self.admit();
             let looked_ns = monotonic_ns();
@@ -147,7 +147,7 @@ impl Reader {
             if is_last {
                 break;
             }
-            // Half of a core at most, however many topics there are.
+            // The thread uses half of a core at most, however many topics there are.
             let now_ns = monotonic_ns();
             next_ns = next_ns.saturating_add(self.pace.period_ns).max(now_ns + (now_ns - looked_ns));
             self.sleep_until(next_ns);
@@ -158,14 +158,14 @@ impl Reader {
         Harvest { topics, waited: self.waited, began_ns: self.began_ns, ended_ns: monotonic_ns() }
     }
 
-    /// A long period does not delay the end.
+    /// Sleeps in slices, so that a long period does not delay the end.
     fn sleep_until(&self, ns: u64) {
         while !self.stop.load(Ordering::Relaxed) && monotonic_ns() < ns {
             sleep_until_monotonic(ns.min(monotonic_ns() + LONGEST_SLEEP_NS));
         }
     }
 
-    /// What was sent before the end is taken, as soon as there is room for it. What there is no room for is lost.
+    /// Takes the messages that were sent before the end, as the ring gets room for them. Messages for which it gets none are lost.
     fn drain(&mut self, is_paused: bool) {
         let ended_ns = monotonic_ns();
         self.until_ns = ended_ns;
@@ -200,7 +200,7 @@ impl Reader {
                     place.is_renewed = true;
                 }
                 Some(place) => {
-                    // What it still has is taken first.
+                    // The messages left in the former subscription are taken first.
                     place.former.push(std::mem::replace(&mut place.subscription, subscription));
                 }
                 None => self.places.push(Place {
@@ -220,7 +220,7 @@ impl Reader {
         }
     }
 
-    /// Takes what waits in each observer, a turn of each; whether there was anything.
+    /// Takes the messages that wait in each observer, in turn. Returns whether there were any.
     fn take_waiting(&mut self, is_paused: bool) -> bool {
         let (mut took, until_ns) = (false, self.until_ns);
         let mut now_ns = monotonic_ns();
@@ -238,7 +238,7 @@ impl Reader {
             }
             now_ns = monotonic_ns();
             for _ in 0..MOST_AT_ONCE {
-                // What waited for room was wanted.
+                // A message that waited for room was wanted.
                 let is_wanted = place.held.is_some();
                 let Some(sample) = place.next(until_ns) else { break };
                 took = true;
@@ -270,7 +270,7 @@ impl Reader {
     }
 }
 
-/// The one copy. `false`: there is no room.
+/// Copies a message into the ring, once. Returns `false` if there is no room.
 fn copy(producer: &mut Producer<u8>, number: usize, log_ns: u64, front: &[u8], sample: &RawSample) -> bool {
     let (body, info) = (sample.body(), sample.info());
     let head = Head {
@@ -284,7 +284,7 @@ fn copy(producer: &mut Producer<u8>, number: usize, log_ns: u64, front: &[u8], s
     if producer.slots() < HEAD_BYTES + 4 + front.len() + body.len() {
         return false;
     }
-    // There is room for all.
+    // This succeeds, because there is room for all parts.
     let parts: [&[u8]; 4] = [&head.to_bytes(), &tautline_msgs::HEADER, front, body];
     parts.iter().all(|part| producer.push_entire_slice(part).is_ok())
 }
@@ -312,7 +312,7 @@ impl Place {
         self.held.is_none() && self.former.is_empty() && !self.subscription.has_samples()
     }
 
-    /// The next one that was released by then.
+    /// The next message that was released by then.
     fn next(&mut self, until_ns: u64) -> Option<RawSample> {
         if let Some(held) = self.held.take() {
             return Some(held);
@@ -324,14 +324,14 @@ impl Place {
             self.lost_before += former.counters().lost();
             self.former.remove(0);
         }
-        // It may be in the queues of both subscriptions.
+        // A message may be in the queues of both subscriptions.
         let is_known = |ports: &[Port], sample: &RawSample| {
             let of = ports.iter().find(|port| port.gid == sample.port_gid());
             of.is_some_and(|port| port.last >= sample.port_sequence_number())
         };
         for _ in 0..MOST_AT_ONCE {
             let sample = take(&self.subscription)?;
-            // Of another publisher there may be one from before behind it.
+            // An earlier message of another publisher may be queued behind this one.
             if sample.info().released_ns > until_ns {
                 continue;
             }
@@ -353,7 +353,7 @@ impl Place {
             self.taken.throttled += 1;
             return false;
         }
-        // On a grid, so that a period that is no multiple does not lower the rate.
+        // The grid keeps the rate where the publisher's period does not divide the interval.
         self.due_ns = match released_ns - self.due_ns {
             late if late < interval_ns => self.due_ns + interval_ns,
             _ => released_ns + interval_ns,

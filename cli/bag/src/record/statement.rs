@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What became of every message, in the end: on the terminal, as JSON, and in the file.
+//! Reports at the end what was recorded and what was lost: on the terminal, as JSON, and in the file.
 
 use super::bag_writer::Written;
 use super::event::Part;
@@ -27,7 +27,7 @@ pub struct Statement {
 struct Row {
     topic: RecordedTopic,
     taken: Taken,
-    /// Sent by publishers that came later, before they were connected.
+    /// Messages that new publishers sent before they were connected.
     missed: u64,
     /// Messages a second of the fastest publisher, in its fastest second.
     peak: u64,
@@ -43,12 +43,12 @@ impl Row {
         Row { topic, taken, missed, peak }
     }
 
-    /// Everything that is not in the bag, and should be.
+    /// The number of messages that should be in the bag, and are not.
     fn lost(&self) -> u64 {
         self.taken.lost + self.taken.oversized + self.missed
     }
 
-    /// A longer time between two looks loses messages.
+    /// The longest time between two polls that loses no messages.
     fn survives(&self) -> Option<Duration> {
         (self.peak > 0).then(|| Duration::from_secs_f64(self.topic.depth as f64 / self.peak as f64))
     }
@@ -70,7 +70,7 @@ impl Statement {
     pub fn new(observers: Observers, harvest: Harvest, period: Duration) -> Self {
         let (topics, before, absent) = observers.end();
         let time = Duration::from_nanos(harvest.ended_ns - harvest.began_ns);
-        // An observer that the reader did not come to any more took nothing.
+        // An observer that the reader did not admit any more took nothing.
         let taken = harvest.topics.into_iter().chain(std::iter::repeat_with(Taken::default));
         let rows = topics.into_iter().zip(taken).map(|(topic, taken)| Row::new(topic, taken, &before));
         Statement { rows: rows.collect(), absent, waited: harvest.waited, time, period }
@@ -93,7 +93,7 @@ impl Statement {
         let Written { finished, failed: stopped, messages, stall } = written?;
         let finished = finished.map_err(failed)?;
         let taken: u64 = self.rows.iter().map(|row| row.taken.messages).sum();
-        // Of what was taken, the disk had no room for.
+        // Messages that were taken and not written: for lack of room on the disk, or because they are no requests of their service.
         let unwritten = taken - messages;
         let lost = self.lost() + unwritten;
         let bytes: u64 = finished.files.iter().map(|file| file.bytes).sum();
@@ -120,7 +120,7 @@ impl Statement {
                 write!(out, "{slow}")
             })
         };
-        // What was lost counts, also where nobody reads this.
+        // Errors and losses take precedence over an error of printing.
         if let Some(error) = stopped {
             let recover = match error {
                 BagError::Full { .. } => String::new(),
@@ -142,7 +142,7 @@ impl Statement {
         printed.map_err(Failure::from)
     }
 
-    /// What became of each topic.
+    /// Writes the table of topics.
     pub fn table(&self, out: &mut impl Write) -> io::Result<()> {
         if self.rows.is_empty() {
             return Ok(());

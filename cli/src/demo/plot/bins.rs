@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 use crate::demo::report::TopicReport;
 
-/// The axis ends here even if a response time does not, lest one outlier squeeze everything else into one bin.
+/// The axis ends here even if a response time is longer, so that an outlier does not squeeze everything else into one bin.
 const MAX_DEADLINES: f64 = 4.0;
 
 /// Response times counted in bins of equal width, the deadline being the end of one of them.
@@ -24,7 +24,7 @@ impl Bins {
             Self { counts: vec![0; count], bin_ms: deadline / on_time, on_time: on_time as usize, beyond: 0 };
         let last = count - 1;
         for latency in &topic.latencies_ns {
-            // A response time on the edge of two bins is in the lower one: at the deadline is on time.
+            // A response time on the edge of two bins is in the lower one, so a response at the deadline is on time.
             let latency_ms = *latency as f64 / 1e6;
             let mut bin = ((latency_ms / bins.bin_ms).ceil() as usize).saturating_sub(1);
             if latency_ms <= deadline {

@@ -3,10 +3,10 @@
 
 use super::DemoReport;
 
-/// Some microseconds for each job are the kernel's, which changes from one thread to another: of forty jobs a fifth of a millisecond.
+/// The kernel needs some microseconds per job to switch between threads: a fifth of a millisecond for forty jobs.
 const SWITCHES_MS: f64 = 0.5;
 
-/// The responses above the prediction, and the threads that had the core during the worst of them; empty if there are none, or if no bound applies.
+/// The responses above the prediction, and what had the core during the worst of them; empty if there are none, or if no bound applies.
 pub fn excesses(report: &DemoReport) -> String {
     let excesses = report.list(|topic| topic.beyond_prediction().filter(|_| report.realtime));
     if excesses.is_empty() { excesses } else { format!("Above RTA+overhead: {excesses}.") }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The printed report: the table, and five lines that summarise it.
+//! The printed report: the table and its summary.
 
 use std::io::{self, Write};
 
@@ -7,7 +7,7 @@ use super::details;
 use super::{DemoReport, TopicReport};
 use crate::table::{BAD, GOOD, wrap, write_spaced_table};
 
-/// How a person continues after a run without a fault.
+/// The suggestion after a run without a fault.
 const NEXT: &str =
     "Next: `taut init robot.toml`; `taut check robot.toml` computes bounds, `taut report` verifies them.";
 
@@ -75,7 +75,7 @@ fn write_topics(topics: &[TopicReport], out: &mut impl Write) -> io::Result<()> 
     write_spaced_table(1, &head, 1, topics.iter().map(row).collect(), out)
 }
 
-/// Whether deadlines were met, in words.
+/// Whether deadlines were met, and a sentence about it.
 fn deadlines(report: &DemoReport) -> Option<(bool, String)> {
     let topics = &report.topics;
     let total: u64 = topics.iter().map(|t| t.n).sum();
@@ -98,7 +98,7 @@ fn deadlines(report: &DemoReport) -> Option<(bool, String)> {
     (total > 0).then(|| (true, format!("All deadlines met: {total} messages, none late, none lost.")))
 }
 
-/// Whether the measurement stayed within the prediction, and how close it came; nothing to say if no bound applies.
+/// Whether the measurement stayed within the prediction, and how close it came; `None` if no bound applies.
 fn prediction(report: &DemoReport) -> Option<(bool, String)> {
     if !report.realtime {
         return None;

@@ -120,7 +120,7 @@ impl Part {
         }
     }
 
-    /// The order within columns with the fewest crossings among those that the sweeps produce.
+    /// Sets the order within columns that has the fewest crossings of the orders that the sweeps produce.
     fn sort(&mut self) {
         let count = self.spots.iter().map(|spot| spot.column + 1).max().unwrap_or(0);
         self.columns = vec![Vec::new(); count];
@@ -252,7 +252,7 @@ impl Part {
         (x + width / 2.0, spot.y)
     }
 
-    /// The points where links leave a box. Lines to higher spots leave above lines to lower ones.
+    /// The point where a link leaves a box. Lines to higher spots leave above lines to lower ones.
     fn port(&self, index: usize, other: usize, nth: usize, is_right: bool) -> Point {
         let spot = &self.spots[index];
         let beside = if is_right { &spot.right } else { &spot.left };

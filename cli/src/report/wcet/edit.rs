@@ -37,7 +37,7 @@ fn value(callback: &mut dyn TableLike) -> Option<&mut Value> {
     callback.get_mut("wcet").and_then(Item::as_value_mut)
 }
 
-/// The owner's own comment stays.
+/// Adds the source to the value's comment, or replaces it there; the user's own comment stays.
 fn comment(decor: &mut Decor, source: &str) {
     let before = decor.suffix().and_then(|suffix| suffix.as_str()).unwrap_or_default();
     let theirs = before.split(SOURCE).next().unwrap_or_default().trim().trim_start_matches('#').trim();

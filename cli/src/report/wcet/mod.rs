@@ -28,7 +28,7 @@ struct Fit<'r> {
     /// Results by input size, if the jobs state it.
     classes: Vec<Class<'r>>,
     line: Option<Line>,
-    /// The value that the file needs for all of this.
+    /// The `wcet` that the file needs for all of this.
     wcet_ns: u64,
 }
 
@@ -42,9 +42,9 @@ pub struct Fits<'r> {
 /// Which values are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Change {
-    /// No values that are lower than in the file, which may be computed ones.
+    /// Only values that are higher than those of the file, which may be computed.
     Raise,
-    /// Lower values, too, if their tail could be estimated.
+    /// Also lower values, if their tail could be estimated.
     RaiseAndLower,
 }
 
@@ -243,7 +243,7 @@ impl<'r> Fit<'r> {
         self.marks().any(|mark| mark.name == name)
     }
 
-    /// The line from which its wcet was computed, and the size.
+    /// The line from which the needed wcet was computed, and the file's `input_max`.
     fn by_line(&self) -> Option<(Line, u64)> {
         self.line.zip(self.row.predicted.entry.input_max)
     }

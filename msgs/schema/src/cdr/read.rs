@@ -28,7 +28,7 @@ impl Failure {
 
 pub(super) type Result<T> = std::result::Result<T, Failure>;
 
-/// What may follow a message at its end, and as much again for every empty sequence of 8-byte numbers and every
+/// The number of bytes that may follow a message, and once more for every empty sequence of 8-byte numbers and every
 /// `wstring`: when ROS 2 computes the length of a message, it aligns elements that are not there and counts a zero at
 /// the end of a `wstring`, and then sends that many bytes.
 const SLACK: usize = 8;
@@ -94,7 +94,7 @@ impl<'a> Reader<'a> {
         match (&ty.base, nested) {
             (Base::Primitive(primitive), _) => {
                 let list = self.primitives(*primitive, 1)?;
-                // One was asked for.
+                // The list has one element.
                 Ok(list.get(0).unwrap_or(Value::U8(0)))
             }
             (Base::WString { bound }, _) => Ok(Value::String(self.wide_string(*bound)?)),

@@ -185,7 +185,7 @@ impl<'a> Facts<'a> {
                 position.add(4);
                 position.variable(&format!("bytes({path})"), 1);
             }
-            // Elements of which each has another size, or another padding.
+            // The elements differ in size or in padding.
             _ => position.variable(&format!("bytes({path})"), 1),
         }
     }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a plain message is in C, and why another one is none.
+//! The C layout of a plain message, and why other messages are not plain.
 
 use std::fmt;
 

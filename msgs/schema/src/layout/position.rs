@@ -32,7 +32,7 @@ pub struct Position {
     plus: usize,
     pub multiple: usize,
     pub residue: usize,
-    /// Bytes are counted not from the start of the body, so that nothing can be rounded up.
+    /// Bytes are not counted from the start of the body, so that nothing can be rounded up.
     relative: bool,
 }
 
@@ -95,7 +95,7 @@ impl Position {
         (self.multiple, self.residue) = (align, 0);
     }
 
-    /// What comes after a field of variable size is counted from its end.
+    /// Fields that follow one of variable size are counted from its end.
     pub fn name_end(&mut self, field: &str) {
         (self.formula, self.plus) = (format!("end({field})"), 0);
     }

@@ -31,7 +31,7 @@ impl Docs {
     pub fn strip<'a>(&mut self, line: &'a str) -> &'a str {
         let Some((content, text)) = line.split_once('#') else { return line };
         match (content.trim().is_empty() && !content.is_empty(), self.members.last_mut()) {
-            // An indented line of comment goes on with what is above it.
+            // An indented comment line continues the comment of the member above it.
             (true, Some((_, lines))) => lines.push(comment(text)),
             (true, None) => {}
             (false, _) => self.pending.push(comment(text)),
@@ -49,7 +49,7 @@ impl Docs {
         self.members.push((Member::Constant(index), std::mem::take(&mut self.pending)));
     }
 
-    /// Writes the comments to what they belong to.
+    /// Writes the comments to the message, the fields and the constants.
     pub fn attach(self, definition: &mut Definition) {
         definition.docs = joined(&self.message);
         for (member, lines) in self.members {

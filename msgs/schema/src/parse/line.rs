@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Lines with their numbers, and one that is read from left to right and knows its column.
+//! Lines with their numbers, and a line that is read from left to right and knows its column.
 
 /// A line after its number, from 1.
 pub(crate) type Numbered<'a> = (u32, &'a str);

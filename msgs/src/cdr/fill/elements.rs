@@ -45,7 +45,7 @@ impl<'a, 's, F: Fill> Elements<'a, 's, F> {
         self.len == 0
     }
 
-    /// Lets `write` set each element in turn, and checks that each was set. Once, and before `default_rest`.
+    /// Lets `write` set each element in turn, and checks that each was set. May be called once, and before `default_rest`.
     ///
     /// # Errors
     /// Of `write`; [`WriteFault::Unset`] with the field that was not set; a length over its bound; [`WriteFault::Again`].
@@ -74,7 +74,7 @@ impl<'s, F: Fill, V: AsRef<[F::Value]>> Piece<V> for Elements<'_, 's, F> {
 
     fn default_rest(&mut self, values: Option<&V>) {
         let values = values.map(AsRef::as_ref).filter(|values| values.len() == self.len);
-        // Text of a stated length has no default: then this fails, and `check` reports it. Nor is what was set set again.
+        // Text of a stated length has no default: then this fails, and `check` reports it. It also fails if the elements were set before.
         let _ = self.each(|index, element| {
             element.default_rest(values.and_then(|values| values.get(index)));
             Ok(())

@@ -27,9 +27,9 @@ pub trait Fill: Form {
     /// for sequences of numbers, in elements; a struct for messages; a slice of these for sequences of them; `()` if
     /// there is none.
     type Sizes<'s>: Copy + Default + Send + Sync + 's;
-    /// Of a sequence.
+    /// The sizes of a sequence.
     type ListSizes<'s>: Copy + Default + Send + Sync + 's;
-    /// Of an array.
+    /// The sizes of an array.
     type ArraySizes<'s>: Copy + Default + Send + Sync + 's;
     /// What writes one value.
     type Writer<'a, 's>: Piece<Self::Value>;
@@ -45,7 +45,7 @@ pub trait Fill: Form {
             Self::sizes_from(Some(value), &mut crate::cdr::Leaked)
         }
 
-        /// The sizes that `source` says, for tests.
+        /// The sizes that `source` gives, for tests.
         #[doc(hidden)]
         fn sizes_from<'s>(
             value: Option<&Self::Value>,
@@ -201,7 +201,7 @@ pub fn fill<'s, T: Message + Fill>(
     Ok(carver.position())
 }
 
-/// The next multiple of `align`. What lengths add up to may be any number: too large a one is no place in any memory.
+/// The next multiple of `align`. The sum of stated lengths may be any number: beyond `usize` it is `usize::MAX`, which no memory has.
 #[inline]
 fn aligned(at: usize, align: usize) -> usize {
     at.checked_next_multiple_of(align).unwrap_or(usize::MAX)

@@ -135,7 +135,7 @@ fn place<'a, T: Plain>(len: usize, carver: &mut Carver<'a>) -> Result<&'a mut [T
         // Zeros are a valid `T`; what the memory held before may not be.
         bytes.fill(0);
     }
-    // Taken last: no other use of `bytes` may come between it and the reference that is made of it.
+    // The pointer is taken last: no other use of `bytes` may come between it and the reference that is made of it.
     let values = bytes.as_mut_ptr().cast::<T>();
     if !values.is_aligned() {
         return Err(EncodeError::new(EncodeFault::Alignment { align: align_of::<T>() }));

@@ -47,7 +47,7 @@ macro_rules! piece {
                 if !self.set
                     && let Some(text) = text
                 {
-                    // Of another length: it stays unset, which `check` reports.
+                    // A text of another length stays unset, which `check` reports.
                     let _ = self.set(text);
                 }
             }
@@ -85,7 +85,7 @@ impl WText<'_> {
     }
 }
 
-/// Bytes are no fewer than characters: short text need not be counted.
+/// A text has no fewer bytes than characters, so those of a short text need not be counted.
 fn check_bound(text: &str, bound: usize) -> Result<(), WriteError> {
     if text.len() > bound && text.chars().count() > bound {
         let len = text.chars().count();

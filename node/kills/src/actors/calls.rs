@@ -18,7 +18,7 @@ use tautline::{
     ActionServerGoalRequest, CallbackHandle, CallbackOptions, Node, ParameterValue, Qos, ServiceRequest,
 };
 
-/// Longer than most actors live.
+/// Time limit of a request: longer than most actors live.
 const LIMIT: Duration = Duration::from_millis(50);
 
 fn end(callback: Option<CallbackHandle>) -> Result<()> {
@@ -65,7 +65,7 @@ pub fn serve_and_ask(actor: &mut Actor) -> Result<()> {
             let client = node.create_client::<AddTwoInts::Service>(service)?;
             for _ in 0..actor.up_to(4) {
                 if let Ok(response) = client.request_timeout(&AddTwoInts::Request { a: 1, b: 2 }, LIMIT) {
-                    // Some are not waited for.
+                    // Some responses are not awaited.
                     if actor.chance(0.7) {
                         let _ = block_on(response);
                     }
@@ -87,7 +87,7 @@ async fn decide(request: ActionServerGoalRequest<Fibonacci::Action>) -> tautline
         goal.publish_feedback(Fibonacci::Feedback { sequence: vec![n] })?;
     }
     if order % 4 == 2 {
-        // Until somebody cancels it, or this is killed.
+        // Waits until a client cancels the goal, or this process is killed.
         if let Some(cancel) = cancels.next().await {
             cancel.accept();
             return goal.cancel(Fibonacci::Result::default());
@@ -103,7 +103,7 @@ pub fn pursue(actor: &mut Actor) -> Result<()> {
         let mut node = actor.node("actions")?;
         let goals = node.create_action_server::<Fibonacci::Action>(ACTORS_FIBONACCI)?;
         let pursue = goals.for_each_concurrent(None, |request| async {
-            // The client may have gone.
+            // The client may have ended.
             let _ = decide(request).await;
         });
         let server = node.spawn_callback(CallbackOptions::other().name("pursue"), pursue)?;
@@ -131,7 +131,7 @@ pub fn pursue(actor: &mut Actor) -> Result<()> {
     }
 }
 
-/// Parameters of its own, which others set, and those of a survivor.
+/// Serves parameters of its own, which others set, and sets those of a survivor.
 pub fn set_parameters(actor: &mut Actor) -> Result<()> {
     let _spinning = actor.spin();
     loop {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Containers, and whoever loads components into them.
+//! Containers, and processes that load components into them.
 
 use super::Actor;
 use crate::Result;
@@ -14,7 +14,7 @@ const CONTAINER: &str = "taut-container";
 const LIBRARY: &str = "libtautline_demo_components.so";
 const COMPONENTS: [&str; 2] = ["demo::Counter", "demo::Doubler"];
 
-/// Where cargo puts this program, it puts these.
+/// The path of a file beside this program, where cargo puts it.
 fn beside(name: &str) -> Result<PathBuf> {
     let path = std::env::current_exe()?.with_file_name(name);
     if path.exists() {
@@ -24,7 +24,7 @@ fn beside(name: &str) -> Result<PathBuf> {
     Err(format!("{} is missing: {build}", path.display()).into())
 }
 
-/// Whether all is there that containers need.
+/// Checks that the files that containers need exist.
 pub fn check() -> Result<()> {
     [CONTAINER, LIBRARY].iter().try_for_each(|name| beside(name).map(drop))
 }
@@ -36,7 +36,7 @@ pub fn contain() -> Result<()> {
     Err(command.args(["--no-rt", "--namespace", "/actors"]).args(loads).stdout(Stdio::null()).exec().into())
 }
 
-/// Loads and unloads components of whatever containers there are.
+/// Loads and unloads components of the containers that exist.
 pub fn load(actor: &mut Actor) -> Result<()> {
     let _spinning = actor.spin();
     let library = beside(LIBRARY)?.display().to_string();

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The processes that are killed: each makes, uses and removes the same few topics, services and actions as others, over and over.
-//! That a peer has gone is an everyday error to them; that something cannot be made is a defect.
+//! The processes that are killed: each creates, uses and removes the same few topics, services and actions as others, repeatedly.
+//! A peer that has ended is an expected error; an object that cannot be created is a defect.
 
 mod calls;
 mod components;

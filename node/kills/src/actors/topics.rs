@@ -23,7 +23,7 @@ const QOS: [Qos; 4] = [
     Qos::keep_all(8),
 ];
 
-/// A subscription, and what was taken from it and is held.
+/// A subscription, and the samples that are held of it.
 struct Taker<T: Message> {
     subscription: Subscription<T>,
     held: Vec<Sample<T>>,
@@ -34,7 +34,7 @@ impl<T: Message> Taker<T> {
         Taker { subscription, held: Vec::new() }
     }
 
-    /// Takes all that is there, and holds some of it.
+    /// Takes all waiting samples, and holds some of them.
     fn take(&mut self, actor: &mut Actor) {
         self.held.truncate(actor.up_to(3));
         while let Ok(Some(sample)) = self.subscription.try_take() {
@@ -74,7 +74,7 @@ pub fn play(actor: &mut Actor) -> Result<()> {
             8 => actor.forget_one(&mut text_takers),
             9 => actor.forget_one(&mut number_takers),
             10 if actor.chance(0.3) => {
-                // What was made for it ends, too.
+                // The node's publishers and subscriptions end, too.
                 (text_publishers, number_publishers) = Default::default();
                 (text_takers, number_takers) = Default::default();
                 node = actor.node("topics")?;
@@ -100,7 +100,7 @@ pub fn play(actor: &mut Actor) -> Result<()> {
     }
 }
 
-/// Has a publisher while it is configured.
+/// A managed node with a publisher while it is configured.
 #[derive(Clone, Default)]
 struct Managed {
     publisher: Arc<Mutex<Option<Publisher<Text>>>>,
@@ -138,7 +138,7 @@ impl LifecycleCallbacks for Managed {
     }
 }
 
-/// Managed nodes: made, brought through their states, removed.
+/// Creates managed nodes, takes them through their states, and removes them.
 pub fn live(actor: &mut Actor) -> Result<()> {
     let _spinning = actor.spin();
     loop {

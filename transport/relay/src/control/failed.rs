@@ -7,7 +7,7 @@ use crate::mirror::{Action, InKey, Inward};
 pub(super) struct Failed(Vec<(Action, String)>);
 
 impl Failed {
-    /// Stores a failed action, and logs a reason that differs from the one `before`.
+    /// Stores a failed action, and logs the reason if it differs from the reason `before`.
     pub(super) fn note(&mut self, action: Action, reason: String, before: Option<&str>) {
         if before != Some(&reason) {
             tracing::warn!("topic '{}' is not mirrored: {reason}", action.topic().topic);
@@ -15,12 +15,12 @@ impl Failed {
         self.0.push((action, reason));
     }
 
-    /// Drops retries that `by` makes obsolete.
+    /// Drops failed actions whose retry would undo `by`.
     pub(super) fn forget_replaced(&mut self, by: &Action) {
         self.0.retain(|(failed, _)| !by.replaces(failed));
     }
 
-    /// If a start of the class has failed, its retry uses `inward`. Returns whether that is so.
+    /// If a start of the class has failed, sets `inward` for its retry. Returns whether a start has failed.
     pub(super) fn change_start(&mut self, key: &InKey, inward: &Inward) -> bool {
         for (failed, _) in &mut self.0 {
             if let Action::StartIn(other, wanted) | Action::AskAgain(other, wanted) = failed

@@ -16,24 +16,24 @@ use std::time::{Duration, Instant};
 use tautline_rt::{PiGuard, PiMutex, RtError, ThreadBuilder, ThreadInfo};
 use tautline_transport::{Participant, ServiceType};
 
-/// Interval of checks whether a server there is available.
+/// Interval of checks whether a server on the far side is available.
 const SEEK_PERIOD: Duration = Duration::from_millis(20);
-/// Interval of checks whether it still is, and of time-outs of requests.
+/// Interval of checks whether such a server is still available, and of checks for time-outs of requests.
 const CHECK_PERIOD: Duration = Duration::from_millis(500);
 
 /// The far side's part in services, owned by the thread.
 pub trait FarServices: Send + Sized + 'static {
-    /// Receives requests there.
+    /// Receives requests on the far side.
     type Server: FarServer;
-    /// Sends requests there.
+    /// Sends requests on the far side.
     type Client: FarClient;
-    /// Context for creating servers and clients there.
+    /// Context for creating servers and clients on the far side.
     type With: Send;
 
-    /// Finds the type of a service of the domain, and returns a function that creates its server there.
+    /// Finds the type of a service of the domain, and returns a function that creates its server on the far side.
     ///
     /// # Errors
-    /// Why it cannot be offered.
+    /// Why the service cannot be offered.
     #[allow(clippy::type_complexity, reason = "used once")]
     fn offer<'a>(
         &'a mut self,
@@ -42,10 +42,10 @@ pub trait FarServices: Send + Sized + 'static {
         with: &'a Self::With,
     ) -> Result<(ServiceType, Box<dyn FnOnce() -> Result<Self::Server, String> + 'a>), String>;
 
-    /// Creates a client of a service there.
+    /// Creates a client of a service of the far side.
     ///
     /// # Errors
-    /// Why it cannot be called.
+    /// Why the service cannot be called.
     fn seek(
         &mut self,
         key: &TopicKey,
@@ -55,10 +55,10 @@ pub trait FarServices: Send + Sized + 'static {
     /// Ends the current [`wait`](Self::wait) of the thread, or else the next one.
     fn waker(&self) -> Waker;
 
-    /// Called first, in the thread.
+    /// Called first, in the services thread.
     fn begin(&mut self) {}
 
-    /// Waits for requests and responses there, or the waker, at most for `timeout` if given.
+    /// Waits for requests and responses on the far side, or the waker, at most for `timeout` if given.
     ///
     /// # Errors
     /// Why the wait failed.
@@ -70,11 +70,11 @@ pub trait FarServices: Send + Sized + 'static {
     ) -> Result<Arrived, String>;
 }
 
-/// Which servers and clients have something to take, in their order.
+/// Which servers have requests to take, and which clients responses, in the order of the arguments of [`FarServices::wait`].
 pub struct Arrived {
-    /// Servers.
+    /// For each server, whether it has a request.
     pub requests: Vec<bool>,
-    /// Clients.
+    /// For each client, whether it has a response.
     pub responses: Vec<bool>,
 }
 
@@ -96,7 +96,7 @@ struct Command<F: FarServices> {
 pub struct RoutesApplied(Option<mpsc::Receiver<()>>);
 
 impl RoutesApplied {
-    /// Waits for that, at most for `timeout`. Returns whether it happened.
+    /// Waits until the routes are applied, at most for `timeout`. Returns whether they are.
     pub fn wait(self, timeout: Duration) -> bool {
         let timed_out = Err(mpsc::RecvTimeoutError::Timeout);
         self.0.is_none_or(|done| done.recv_timeout(timeout) != timed_out)
@@ -118,7 +118,7 @@ impl ExchangeState {
 }
 
 impl<F: FarServices> Services<F> {
-    /// Starts the thread. The participant's sampler (another thread) wakes it.
+    /// Starts the thread, which the participant's sampler (another thread) wakes.
     ///
     /// # Errors
     /// [`RtError`]: a missing privilege.
@@ -145,7 +145,7 @@ impl<F: FarServices> Services<F> {
         self.worker.info()
     }
 
-    /// Sets the routes, and the context for servers and clients there.
+    /// Sets the routes, and the context for servers and clients on the far side.
     pub fn set_routes(&mut self, routes: Routes, with: F::With) -> RoutesApplied {
         if routes == self.routes {
             return RoutesApplied(None);
@@ -249,7 +249,7 @@ impl<F: FarServices> Exchange<F> {
         is_busy
     }
 
-    /// Waits, and takes requests and responses there.
+    /// Waits, and then takes requests and responses of the far side.
     fn wait(&mut self, is_busy: bool) -> Result<(), String> {
         let timeout = match is_busy {
             true => Some(Duration::ZERO),
@@ -304,7 +304,7 @@ impl<F: FarServices> Exchange<F> {
         }
     }
 
-    /// Stores the error, which is retried, and logs it if it changed.
+    /// Stores the reason why a route could not be opened, which is retried, and logs the reason if it changed.
     fn refuse(&mut self, key: &TopicKey, reason: String) {
         if self.refused.get(key) != Some(&reason) {
             tracing::warn!("service '{}' is not mirrored: {reason}", key.topic);

@@ -17,17 +17,17 @@ use tautline_transport::{
     ServiceType,
 };
 
-/// Maximum of requests that wait for the server or for room in its queue; more are refused and counted.
+/// Maximum of requests that wait for the server or for room in its queue; further requests are refused and counted.
 const MOST_WAITING: usize = 1024;
 const MOST_WAITING_BYTES: usize = 16 << 20;
 const SERVER_TIME: Duration = Duration::from_secs(10);
-/// Maximum of clients here per service, used when each has its maximum of pending requests.
+/// Maximum of clients per service; a further client is created when all have their maximum of pending requests.
 const MOST_CLIENTS: usize = 16;
 
 /// A request's handle for its response, and its body; or why it cannot be forwarded.
 pub type TakenRequest<R> = Result<(R, Vec<u8>), String>;
 
-/// The server on the far side of a service of the domain. Dropped when that service ends.
+/// The far side's server for a service of the domain. Dropped when that service ends.
 pub trait FarServer: Send {
     /// Identifies a request for its response.
     type Request: Send + 'static;
@@ -41,7 +41,7 @@ pub trait FarServer: Send {
     /// Sends the response, or the reason why there is none.
     ///
     /// # Errors
-    /// Why it is not sent.
+    /// Why the response is not sent.
     fn answer(&mut self, request: Self::Request, answer: Result<&[u8], &str>) -> Result<(), String>;
 }
 
@@ -53,13 +53,13 @@ pub(super) struct Offered<S: FarServer> {
     key: TopicKey,
     service_type: ServiceType,
     participant: Participant,
-    /// Requests not sent yet, for lack of a server or of room in its queue.
+    /// Requests that are not sent yet, for lack of a server or of room in its queue.
     waiting: VecDeque<(S::Request, Vec<u8>, Instant)>,
     waiting_bytes: usize,
-    /// Waits for a server here: another mirror that announces one creates it when there is a client.
+    /// Resolves when there is a server in the domain: another mirror that announces the service creates its server for this client.
     availability: Option<Availability>,
     pending: FuturesUnordered<BoxFuture<'static, Answer<S::Request>>>,
-    /// Pending requests, the oldest first, each with a token that lives until its response.
+    /// Handles to abort pending requests, the oldest first, each with a token that lives until the response.
     asked: VecDeque<(AbortHandle, Weak<()>)>,
     counters: Arc<ServiceCounters>,
 }
@@ -67,7 +67,7 @@ pub(super) struct Offered<S: FarServer> {
 type Answer<R> = (R, Result<Result<RawSample, ServiceError>, Aborted>);
 
 impl<S: FarServer> Offered<S> {
-    /// `open` creates the far server, last, because requests arrive from then on.
+    /// Creates a client here, and then the far server with `open`: last, because requests arrive from then on.
     pub(super) fn open(
         key: &TopicKey,
         service_type: ServiceType,
@@ -97,7 +97,7 @@ impl<S: FarServer> Offered<S> {
         })
     }
 
-    /// Whether requests wait for a server here or for room in its queue.
+    /// Whether requests wait for a server in the domain or for room in its queue.
     pub(super) fn is_waiting(&self) -> bool {
         !self.waiting.is_empty()
     }
@@ -106,7 +106,7 @@ impl<S: FarServer> Offered<S> {
         &self.far
     }
 
-    /// Takes requests from the far side, at most one turn. The rest ends the next wait.
+    /// Takes at most one turn of requests from the far side. Further requests end the next wait.
     pub(super) fn serve(&mut self) {
         self.flag.set();
         for _ in 0..TURN {
@@ -132,7 +132,7 @@ impl<S: FarServer> Offered<S> {
         let _ = self.far.answer(request, Err(reason));
     }
 
-    /// Sends the waiting requests here, in order, as long as there is room.
+    /// Sends the waiting requests to the server in the domain, in order, while there is room.
     fn pass_on(&mut self) {
         while let Some((_, body, since)) = self.waiting.front() {
             let refused = match send(&self.clients, body) {
@@ -150,19 +150,19 @@ impl<S: FarServer> Offered<S> {
                     if self.clients.len() < MOST_CLIENTS {
                         match make() {
                             Ok(client) => self.clients.push(client),
-                            // Until a response arrives.
+                            // Retried when a response arrives.
                             Err(_) => return,
                         }
                         continue;
                     }
-                    // Aborts the oldest, whose client may have ended long ago; its place is free once it is dropped.
+                    // Aborts the oldest request, whose client may have ended long ago; its place is free once the request is dropped.
                     self.asked.retain(|(_, life)| life.strong_count() != 0);
                     if let Some((oldest, _)) = self.asked.pop_front() {
                         oldest.abort();
                     }
                     return;
                 }
-                // Until a response arrives.
+                // Retried when a response arrives.
                 ServiceError::RequestsFull { .. } if !self.pending.is_empty() => return,
                 ServiceError::NoServer { .. } if since.elapsed() < SERVER_TIME => {
                     if self.availability.is_none() {
@@ -181,7 +181,7 @@ impl<S: FarServer> Offered<S> {
         self.availability = None;
     }
 
-    /// The oldest waiting request, which must exist.
+    /// Removes the oldest waiting request, which must exist.
     fn next(&mut self) -> (S::Request, Vec<u8>, Instant) {
         let next = self.waiting.pop_front().unwrap_or_else(|| unreachable!("the caller has checked it"));
         self.waiting_bytes -= next.1.len();
@@ -202,7 +202,7 @@ impl<S: FarServer> Offered<S> {
         self.pending.push(answer.boxed());
     }
 
-    /// Handles events of this side if the flag is set or `is_time`: sends responses to their clients there.
+    /// If the flag is set or `is_time`, sends waiting requests here, and responses to their clients on the far side.
     pub(super) fn poll(&mut self, is_time: bool) {
         if !self.flag.take() && !is_time {
             return;
@@ -244,7 +244,7 @@ fn send(clients: &[RawClient], body: &[u8]) -> Result<RawPending, ServiceError> 
             Err(unsent) => return Err(unsent.error),
         }
     }
-    // There is at least one client.
+    // `refused` is set: there is at least one client.
     Err(refused.unwrap_or(ServiceError::NoServer { service: "".into() }))
 }
 

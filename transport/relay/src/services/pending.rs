@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Pending requests to a service of the far side, and which servers may still answer each.
+//! Pending requests to a service of the far side, and the servers that may still answer each of them.
 
 use super::routes::ServerId;
 use std::collections::{BTreeMap, BTreeSet};
@@ -9,7 +9,7 @@ use tautline_transport::{Gid, RequestId};
 /// After this time a pending request may be dropped to make room.
 const SILENT_TIME: Duration = Duration::from_secs(30);
 
-/// Pending requests by a number that increases, each with what the far side needs as long as it is pending.
+/// Pending requests by an increasing number, each with a `Q` that the far side needs as long as the request is pending.
 pub struct Pending<Q = ()> {
     asked: BTreeMap<i64, PendingRequest<Q>>,
     most: usize,
@@ -17,14 +17,14 @@ pub struct Pending<Q = ()> {
 
 struct PendingRequest<Q> {
     id: RequestId,
-    /// Servers that received it and may still exist.
+    /// Servers that received the request and may still exist.
     servers: BTreeSet<ServerId>,
     since: Instant,
     _query: Q,
 }
 
 impl<Q> Pending<Q> {
-    /// With room for `most` requests.
+    /// Creates a table with room for `most` requests.
     pub fn new(most: usize) -> Self {
         Pending { asked: BTreeMap::new(), most }
     }
@@ -33,7 +33,7 @@ impl<Q> Pending<Q> {
         self.asked.len() >= self.most
     }
 
-    /// A request was sent.
+    /// Adds a request that was sent.
     pub fn add(&mut self, number: i64, id: RequestId, servers: BTreeSet<ServerId>, since: Instant, query: Q) {
         self.asked.insert(number, PendingRequest { id, servers, since, _query: query });
     }
@@ -43,13 +43,13 @@ impl<Q> Pending<Q> {
         self.asked.remove(&number).map(|asked| asked.id)
     }
 
-    /// Drops all. Returns their number.
+    /// Drops all requests. Returns their number.
     pub fn clear(&mut self) -> usize {
         std::mem::take(&mut self.asked).len()
     }
 
-    /// Whether there is room for one more, and a request that was dropped for it. If not, those of ended clients are dropped, then the
-    /// oldest after a time-out: its server is silent, or its response was lost.
+    /// Makes room for one more request: drops those of ended clients, and then the oldest one if it is older than a time-out, because
+    /// its server is silent or its response was lost. Returns whether there is room, and the oldest request if it was dropped.
     pub fn make_room(
         &mut self,
         is_waited_for: impl Fn(Gid) -> bool,
@@ -76,7 +76,7 @@ impl<Q> Pending<Q> {
         lost
     }
 
-    /// Removes the oldest request, if it is older than the time-out.
+    /// Removes the oldest request if it is older than the time-out.
     fn take_silent(&mut self, now: Instant) -> Option<RequestId> {
         let oldest = self.asked.first_entry()?;
         (now.saturating_duration_since(oldest.get().since) >= SILENT_TIME).then(|| oldest.remove().id)

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Decides from both graphs which services are carried in which direction. The services thread executes it.
+//! Decides from both graphs which services are carried in which direction. The services thread executes the decision.
 
 use crate::mirror::{Side, TopicKey, grouped};
 use crate::rules::{Choice, Direction, Rules};
@@ -18,7 +18,7 @@ pub struct OfferedService {
 /// A service of the far side.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SoughtService {
-    /// The type hash that clients here state.
+    /// The type hash that clients in the domain state.
     pub type_hash: Option<String>,
     /// Its servers.
     pub servers: BTreeSet<ServerId>,
@@ -44,9 +44,9 @@ impl ServerId {
 /// Which services are carried, by direction.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Routes {
-    /// Of the domain: offered on the far side.
+    /// Services of the domain, offered on the far side.
     pub offered: BTreeMap<TopicKey, OfferedService>,
-    /// Only on the far side, with clients here.
+    /// Services that only the far side has, with clients in the domain.
     pub sought: BTreeMap<TopicKey, SoughtService>,
     /// Services that cannot be mirrored, and why.
     pub problems: BTreeMap<String, String>,
@@ -55,7 +55,7 @@ pub struct Routes {
 impl Routes {
     /// Routes for the graphs `here` and `there`, both without this mirror's endpoints. Servers here that are not `announced` are
     /// left to another relay. A service offered `before` stays offered even if ROS gets a server of it: otherwise two bridges
-    /// would give way to each other forever.
+    /// would defer to each other forever.
     pub fn of<'e>(
         side: Side,
         rules: &Rules,
@@ -94,7 +94,7 @@ impl Routes {
                 let type_hash = key.type_hash.clone();
                 self.offered.insert(key, OfferedService { type_hash, node: None });
             } else if choice.allows(Direction::In) && servers.is_empty() && !same.is_empty() {
-                // The rest are clients.
+                // All `ends` are clients.
                 self.seek(key, ends[0], &same);
             }
         }
@@ -131,7 +131,7 @@ impl Routes {
         let key = TopicKey::of(service, &choice, &end.type_name, None);
         let (same, other): (Vec<&ServiceEndpoint>, Vec<&ServiceEndpoint>) =
             servers.partition(|server| server.type_name == end.type_name);
-        // Of servers with one name, ROS's own is preferred over one of another host.
+        // Of servers with one name, a server in ROS is preferred over one of another host.
         let is_nearer = !same.is_empty() && server.is_some_and(|server| !server.origin.is_here());
         match (server, other.first()) {
             (Some(server), _) if !announced(server) => {}
@@ -165,7 +165,7 @@ impl Routes {
         }
     }
 
-    /// For clients like `end`.
+    /// Adds a service of the far side, for clients in the domain like `end`.
     fn seek(&mut self, key: TopicKey, end: &ServiceEndpoint, servers: &[&ServiceEndpoint]) {
         let id = |server: &&ServiceEndpoint| ServerId { node: server.node.clone(), gid: server.gid };
         let servers = servers.iter().map(id).collect();

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A service of the far side, with clients here.
+//! A service of the far side, with clients in the domain.
 
 use super::limits::{TURN, limits};
 use super::routes::ServerId;
@@ -13,7 +13,7 @@ use tautline_transport::{
     Gid, Participant, RawSample, RawServer, RequestId, ServiceError, ServiceType, TransportError,
 };
 
-/// Queue depth of requests, per client here.
+/// Queue depth of requests, per client in the domain.
 const DEPTH: usize = 100;
 
 /// Maximum of pending error responses per service.
@@ -21,18 +21,18 @@ const MOST_UNSENT_ERRORS: usize = 1024;
 
 const SERVER_GONE: &str = "its server has gone";
 
-/// The client on the far side, for clients here.
+/// The client on the far side, for clients in the domain.
 pub trait FarClient: Send {
-    /// Whether a server there is available.
+    /// Whether a server on the far side is available.
     fn is_available(&mut self) -> bool;
 
-    /// Whether changes of that are not signalled, and must be polled.
+    /// Whether changes of [`is_available`](Self::is_available) are not signalled, and must be polled.
     const IS_POLLED: bool;
 
     /// Sets the present servers. Returns the requests that no server can answer any more.
     fn set_servers(&mut self, servers: &BTreeSet<ServerId>) -> Vec<RequestId>;
 
-    /// Whether one more request can be sent, and one dropped for it. `is_waited_for` tells whether a client still exists.
+    /// Whether one more request can be sent, and a request that was dropped for it. `is_waited_for` tells whether a client still exists.
     fn make_room(&mut self, is_waited_for: &dyn Fn(Gid) -> bool) -> (bool, Option<RequestId>);
 
     /// Sends a request.
@@ -63,7 +63,7 @@ pub(super) struct Sought<C: FarClient> {
     flag: Arc<Flag>,
     /// Exists while the far server is available.
     server: Option<RawServer>,
-    /// A request that waits for room there.
+    /// A request that waits for room on the far side.
     next: Option<RawSample>,
     /// Requests whose error response could not be sent yet.
     unsent_errors: VecDeque<RequestId>,
@@ -99,12 +99,12 @@ impl<C: FarClient> Sought<C> {
         &self.far
     }
 
-    /// Whether the server there is not available yet.
+    /// Whether the far server is not available yet.
     pub(super) fn is_seeking(&self) -> bool {
         self.server.is_none()
     }
 
-    /// Sets the present servers there. Requests that only ended servers received get an error.
+    /// Sets the present servers of the far side. Requests that only ended servers received get an error.
     pub(super) fn set_servers(&mut self, servers: &BTreeSet<ServerId>) {
         for id in self.far.set_servers(servers) {
             self.refuse(id, SERVER_GONE);
@@ -121,10 +121,10 @@ impl<C: FarClient> Sought<C> {
         let Some(server) = &self.server else { return };
         match server.refuse(id) {
             Ok(()) | Err(ServiceError::ClientGone { .. }) => {}
-            // Its queue is full, or memory is exhausted: retried later.
+            // The client's queue is full, or memory is exhausted: retried later.
             Err(_) if self.unsent_errors.len() < MOST_UNSENT_ERRORS => self.unsent_errors.push_back(id),
             // Ending the server ends its requests.
-            Err(_) => self.let_go(),
+            Err(_) => self.close_server(),
         }
     }
 
@@ -133,18 +133,18 @@ impl<C: FarClient> Sought<C> {
         self.next.is_some() || !self.unsent_errors.is_empty()
     }
 
-    /// Ends the server here, so that all pending requests get an error.
-    fn let_go(&mut self) {
+    /// Ends the server in the domain, so that all pending requests get an error.
+    fn close_server(&mut self) {
         self.counters.set_active(false);
         self.counters.failed_times(self.far.forget(), SERVER_GONE);
         (self.server, self.next) = (None, None);
         self.unsent_errors.clear();
     }
 
-    /// If the flag is set or `is_time`, sends requests of clients here, at most one turn. Returns whether there may be more.
+    /// If the flag is set or `is_time`, forwards at most one turn of requests. Returns whether there may be more.
     ///
     /// # Errors
-    /// The server here cannot be created.
+    /// The server in the domain cannot be created.
     pub(super) fn poll(&mut self, is_time: bool) -> Result<bool, TransportError> {
         if !self.flag.take() && !is_time {
             return Ok(false);
@@ -153,7 +153,7 @@ impl<C: FarClient> Sought<C> {
         let context = &mut Context::from_waker(&waker);
         let is_available = self.far.is_available();
         if !is_available {
-            self.let_go();
+            self.close_server();
         }
         if is_available && self.server.is_none() {
             let (service, service_type) = (&self.service, &self.service_type);
@@ -196,7 +196,7 @@ impl<C: FarClient> Sought<C> {
         has_room
     }
 
-    /// Takes responses from the far side, at most one turn. The rest ends the next wait.
+    /// Takes at most one turn of responses from the far side. Further responses end the next wait.
     pub(super) fn serve(&mut self) {
         // There may be room for requests now.
         self.flag.set();
@@ -223,6 +223,6 @@ impl<C: FarClient> Sought<C> {
 
 impl<C: FarClient> Drop for Sought<C> {
     fn drop(&mut self) {
-        self.let_go();
+        self.close_server();
     }
 }

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tautline_rt::PiMutex;
 
-/// Maximum of distinct reasons; more are counted together.
+/// Maximum of distinct reasons; further ones are counted together.
 const MOST_REASONS: usize = 16;
 /// Maximum of services; beyond it, inactive ones are forgotten.
 const MOST_SERVICES: usize = 1024;
@@ -21,9 +21,9 @@ pub struct ServiceStats<N, D> {
     /// Its names.
     #[serde(flatten)]
     pub name: N,
-    /// Direction: out is a service of the domain.
+    /// The direction in which the service is offered: `Out` for a service of the domain.
     pub direction: D,
-    /// Whether it is offered now.
+    /// Whether the service is offered now.
     pub active: bool,
     /// Answered requests.
     pub answered: u64,

@@ -94,7 +94,7 @@ impl Drop for Events {
     }
 }
 
-/// Compares the endpoints of the topic with those of the last look.
+/// Compares the endpoints of the topic with those of the last check.
 struct EndpointTracker {
     list: LatestReader<Arc<EndpointList>>,
     is_first: bool,
@@ -119,7 +119,7 @@ struct Changes {
     matched: Option<Matched>,
     incompatible_qos: Option<IncompatibleQos>,
     incompatible_type: Option<IncompatibleType>,
-    /// How many disappeared without a normal end.
+    /// Number of endpoints that disappeared without a normal end.
     killed: u64,
 }
 
@@ -140,12 +140,12 @@ impl EndpointTracker {
         }
     }
 
-    /// Those that are there, as at the last update.
+    /// The endpoints of the topic, as of the last update, without relays and observers.
     fn iter(&self) -> impl Iterator<Item = &Endpoint> {
         self.list.current().endpoints.iter().filter(|endpoint| endpoint.is_itself())
     }
 
-    /// Looks for changes since the last time.
+    /// Checks for changes since the last update.
     ///
     /// # Real-time
     /// One load if nothing changed; else O(endpoints), and allocates if there are more than ever before.
@@ -159,7 +159,7 @@ impl EndpointTracker {
         self.known.clear();
         self.matched = 0;
         let (list, mut last_policy) = (self.list.read(), None);
-        // Both are in the order of their gids.
+        // Both lists are in order of their GIDs.
         let mut former = self.former.iter().peekable();
         for endpoint in list.endpoints.iter().filter(|endpoint| endpoint.is_itself()) {
             while former.next_if(|known| known.gid < endpoint.gid).is_some() {}
@@ -183,7 +183,7 @@ impl EndpointTracker {
         let killed = list.killed - self.killed;
         self.killed = list.killed;
         let came = self.total - total;
-        // As many as there were and came, unless some went.
+        // If none appeared, the number of matches differs only if some disappeared.
         let has_changed = came > 0 || self.matched != matched;
         Changes {
             matched: has_changed.then_some(Matched {

@@ -34,7 +34,7 @@ impl RawPublisher {
     /// Setup only.
     pub fn monitor(&self, events: &Slot) -> PublisherMonitor {
         let core = self.core().clone();
-        // Before the list: what changes meanwhile rings.
+        // Set before the list is read, so that changes in between ring.
         let _events = Events::new(&core.slot, events);
         PublisherMonitor { endpoints: EndpointTracker::new(core.monitor()), core, _events }
     }
@@ -71,7 +71,7 @@ impl PublisherMonitor {
         Some((self.core.slot.activity(ActivityKind::Sample), self.qos().deadline?))
     }
 
-    /// When it last asserted its liveliness, and its lease, if its liveliness is manual.
+    /// When the publisher last asserted its liveliness, and its lease, if its liveliness is manual.
     pub fn lease(&self) -> Option<(Activity, Duration)> {
         let lease = self
             .qos()

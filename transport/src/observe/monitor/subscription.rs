@@ -17,11 +17,11 @@ pub struct SubscriptionMonitor {
     core: Arc<SubscriptionCore>,
     counters: Arc<SubscriptionCounters>,
     endpoints: EndpointTracker,
-    /// As at the last event.
+    /// Numbers as of the last event: of lost messages, of publishers that are alive, and of publishers that are not.
     lost: u64,
     alive: u64,
     not_alive: u64,
-    /// Of the publishers that are not alive.
+    /// How many of the publishers that are not alive were killed.
     killed: u64,
     _events: Events,
 }
@@ -43,7 +43,7 @@ pub struct SubscriptionChanges {
     pub look_again_ns: Option<u64>,
 }
 
-/// A publisher that is not alive is looked for this often at most.
+/// Shortest interval of checks whether a publisher has become alive again.
 const SHORTEST_NS: u64 = 1_000_000;
 
 impl RawSubscription {
@@ -54,7 +54,7 @@ impl RawSubscription {
     /// Setup only.
     pub fn monitor(&self, events: &Slot) -> SubscriptionMonitor {
         let core = self.core().clone();
-        // Before the list: what changes meanwhile rings.
+        // Set before the list is read, so that changes in between ring.
         let _events = Events::new(&core.slot, events);
         let (counters, endpoints) = (self.counters(), EndpointTracker::new(core.monitor()));
         SubscriptionMonitor { core, counters, endpoints, lost: 0, alive: 0, not_alive: 0, killed: 0, _events }
@@ -85,8 +85,8 @@ impl SubscriptionMonitor {
             let due_ns = liveliness.alive_ns().saturating_add(lease_ns);
             let is_alive = due_ns > now_ns;
             *if is_alive { &mut alive } else { &mut not_alive } += 1;
-            // One that comes to life again rings nobody: it is looked for once in each lease. Leases are what others ask for: a
-            // very short one is no reason to look all the time.
+            // A publisher that becomes alive again does not ring: this is checked once per lease. Other processes choose the lease, so a
+            // very short lease must not cause constant checks.
             let again_ns = if is_alive { due_ns } else { now_ns.saturating_add(lease_ns.max(SHORTEST_NS)) };
             changes.look_again_ns = Some(changes.look_again_ns.map_or(again_ns, |other| other.min(again_ns)));
         }
@@ -104,7 +104,7 @@ impl SubscriptionMonitor {
         if killed == 0 && alive == self.alive && not_alive + self.killed == self.not_alive {
             return None;
         }
-        // Those killed before are forgotten now.
+        // Publishers that were killed before the last event no longer count.
         self.killed = killed;
         let not_alive = not_alive + killed;
         let changed = LivelinessChanged {

@@ -16,7 +16,7 @@ use std::collections::{BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 use tautline_rt::fork::ProcessMutex;
 
-/// Most endpoints on other hosts that a port tells its monitors of: what others declare costs it no more than this.
+/// The maximum number of endpoints on other hosts that a port reports to its monitors: it bounds what other hosts' endpoints cost a port.
 const MOST_REMOTE: usize = 256;
 
 pub(super) struct Index {
@@ -33,15 +33,15 @@ pub(super) struct Index {
     refused: HashSet<u64>,
 }
 
-/// Entries of records by who has them: the participant and the number of the entry.
+/// The entries of the records that describe a topic's ports, by gid: the participant and the number of the entry.
 #[derive(Default)]
 struct TopicPorts {
     ports: Positions,
     remote: Positions,
 }
 
-/// Where endpoints are described, in the order of their gids. Most topics have few of them, and there are many topics: a map would take ten
-/// times the memory.
+/// The positions of endpoints' entries in the records, in the order of the gids. Most topics have few endpoints, and there are many topics:
+/// a map would take ten times the memory.
 #[derive(Default)]
 struct Positions(Vec<(Gid, usize)>);
 
@@ -99,7 +99,7 @@ pub(super) struct IndexUpdate {
     /// Ports that have disappeared: identifier, topic, and whether together with their process.
     pub(super) removed: Vec<(Gid, u64, bool)>,
     pub(super) gone: bool,
-    /// Something could not be read, and may be later.
+    /// A record could not be read because of an error that may pass.
     pub(super) is_refused: bool,
     /// Participants whose publishers have other segments of samples than before.
     pub(super) grown: BTreeSet<u64>,
@@ -123,7 +123,7 @@ impl Index {
         self.own
     }
 
-    /// Reads on in the records that have changed.
+    /// Reads the new entries of the records that have changed.
     pub(super) fn refresh(&mut self, domain: &Domain, peers: &mut Peers) -> IndexUpdate {
         let mut update = IndexUpdate { added: std::mem::take(&mut self.retries), ..IndexUpdate::default() };
         let epoch = domain.epoch();
@@ -167,7 +167,7 @@ impl Index {
                 Err(error) => {
                     update.is_refused |= error.is_passing();
                     if self.refused.insert(member.id) {
-                        complain(&error);
+                        warn_once(&error);
                     }
                 }
             }
@@ -239,7 +239,7 @@ impl Index {
                     }
                 }
                 EntryKind::Gone => {
-                    // One that came and went between two looks is not reported.
+                    // A port that was added and removed between two refreshes is not reported.
                     update.added.retain(|(added, ..)| *added != gid);
                     if let Some(hash) = member.ports.remove(&number) {
                         remove(&mut self.by_topic, hash, |topic| topic.ports.remove(gid));
@@ -270,7 +270,7 @@ impl Index {
                 EntryKind::RemoteService | EntryKind::Relay => {}
             }
         }
-        // What was there before the record was written anew, and is no longer.
+        // Entries that the record had before it was written anew, and has no longer.
         for (number, hash) in former.0 {
             let gid = Gid::of(id, number);
             remove(&mut self.by_topic, hash, |topic| topic.ports.remove(gid));
@@ -286,7 +286,7 @@ impl Index {
         Ok(())
     }
 
-    /// A participant has gone, and all its ports.
+    /// Removes a participant that has gone, with all its ports.
     fn forget(&mut self, id: u64, update: &mut IndexUpdate) {
         let Some(member) = self.members.remove(&id) else { return };
         for (number, hash) in member.ports {
@@ -300,27 +300,27 @@ impl Index {
         }
     }
 
-    /// Those whose records could not be read.
+    /// The participants whose records could not be read.
     pub(super) fn refused(&self) -> impl Iterator<Item = u64> + '_ {
         self.refused.iter().copied()
     }
 
-    /// What is to be found again by the next look.
-    pub(super) fn try_again(&mut self, found: PortKey) {
+    /// Makes the next refresh report this port as added again.
+    pub(super) fn retry(&mut self, found: PortKey) {
         self.retries.push(found);
     }
 
-    /// Whether the next look finds something though nothing changes until then.
+    /// Whether the next refresh finds something even if nothing changes until then.
     pub(super) fn has_retries(&self) -> bool {
         !self.retries.is_empty() || !self.remote_changes.is_empty()
     }
 
-    /// What is said of a port. `None` if it has gone, or is to be found again by the next look.
+    /// The record of a port. `None` if it has gone, or cannot be read before the next refresh, which reports the port again.
     pub(super) fn port(&mut self, (gid, hash): PortKey) -> Option<PortRecord> {
         let position = self.by_topic.get(&hash)?.ports.get(gid)?;
         let member = self.members.get(&gid.participant())?;
         let Some(entry) = member.reader.entry(member.peer.head(), position) else {
-            // Its record was written anew since.
+            // The participant's record was written anew since the last refresh.
             self.retries.push((gid, hash));
             return None;
         };
@@ -328,7 +328,7 @@ impl Index {
             .then(|| PortRecord::parse(&entry.body))?
     }
 
-    /// The ports of a kind that other participants have on a topic; others may be found by the next look.
+    /// The ports of this kind that other participants have on a topic; the next refresh may report more of them.
     pub(super) fn ports(&mut self, hash: u64, kind: PortKind) -> Vec<(Gid, PortRecord)> {
         let ports = self.by_topic.get(&hash).into_iter().flat_map(|topic| topic.ports.gids());
         let gids: Vec<Gid> = ports.collect();
@@ -336,7 +336,7 @@ impl Index {
         ports.filter(|(_, port)| port.kind == kind).collect()
     }
 
-    /// Whether a port is there, as far as is known.
+    /// Whether the port existed at the last refresh.
     pub(super) fn has(&self, gid: Gid, hash: u64) -> bool {
         self.by_topic.get(&hash).is_some_and(|topic| topic.ports.get(gid).is_some())
     }
@@ -347,8 +347,8 @@ impl Index {
         ports.map(|gid| gid.participant()).collect()
     }
 
-    /// The endpoints of a kind that other hosts have of a topic and that can match: sorted by gid, each once, with its tag. `None`: they
-    /// cannot be read before the next look.
+    /// The endpoints of this kind that other hosts have on a topic, and that can match: sorted by gid, each once, with its tag. `None`:
+    /// they cannot be read before the next refresh.
     pub(super) fn remote(&mut self, hash: u64, kind: PortKind, topic: &Topic) -> Option<Vec<(Gid, u64)>> {
         let ports = self.by_topic.get(&hash).into_iter().flat_map(|topic| &topic.remote.0);
         let nobody = NodeName { namespace: "/".into(), name: "_".into() };
@@ -363,7 +363,7 @@ impl Index {
             let end = RemotePortRecord::parse(&entry.body)?.endpoint(&nobody, Some(gid.participant()));
             let fits =
                 end.kind == kind && end.topic == topic.name && topic.topic_type.agrees_with(&end.topic_type);
-            // Each once, as the best of those that tell of it does.
+            // Each endpoint once, by the announcement with the best rank.
             let rank = end.origin.rank(gid.participant().into());
             fits.then_some((end.origin.tag, rank, end.gid))
         };
@@ -381,7 +381,7 @@ impl Index {
         Some(gids)
     }
 
-    /// The tags of publishers elsewhere that have ended by themselves, as far as that is said.
+    /// The tags of publishers on other hosts that are announced to have ended by themselves.
     pub(super) fn ended(&self) -> HashSet<u64> {
         self.members.values().flat_map(|member| member.ended.values().copied()).collect()
     }
@@ -400,8 +400,8 @@ fn remove(by_topic: &mut HashMap<u64, TopicPorts>, hash: u64, remove: impl FnOnc
     }
 }
 
-/// Once for each text, for it is tried again and again.
-pub(super) fn complain(error: &TransportError) {
+/// Logs an error once for each of the first 64 distinct texts, because what failed is retried.
+pub(super) fn warn_once(error: &TransportError) {
     static SAID: ProcessMutex<BTreeSet<String>> = ProcessMutex::new(BTreeSet::new(), BTreeSet::new);
     let text = error.to_string();
     let mut said = SAID.lock();

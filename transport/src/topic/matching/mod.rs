@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Matching: finds publishers and subscriptions for each other, and connects them.
 //!
-//! Each participant connects its own publishers: only this participant writes into their memory. A participant that creates a port
-//! first writes it to its record, and then reads the other records. So if two ports are created at the same time, at least one sees
-//! the other:
+//! Each participant connects its own publishers: only this participant makes and removes connections in their memory. A participant that
+//! creates a port first writes it to its record, and then reads the other records. So if two ports are created at the same time, at least
+//! one sees the other:
 //!
 //! - A new publisher connects all subscriptions that it finds, of any participant, before it can be used to publish.
 //! - A new subscription connects itself to the publishers of its own participant, and calls the janitors of the other participants,
-//!   which connect it ([`Matcher::look`]). It waits for them for a limited time, because a process may be stopped.
+//!   which connect it ([`Matcher::refresh`]). It waits for them for a limited time, because a process may be stopped.
 //! - The subscription's participant finds new connections in the publisher's memory, and maps the memory that is needed to
 //!   take from them.
 //!
@@ -26,7 +26,7 @@ use crate::graph::record::{PortKind, PortRecord};
 use crate::graph::remote::RemoteGraph;
 use crate::memory::file::{ArenaOwner, Peers};
 use crate::memory::header::Gid;
-use crate::topic::matching::index::{Index, IndexUpdate, complain};
+use crate::topic::matching::index::{Index, IndexUpdate, warn_once};
 use crate::topic::reader::core::{DiscoveredPublisher, SubscriptionCore};
 use crate::topic::reader::source::{PeerPublishers, PublisherMemory};
 use crate::topic::writer::core::{DiscoveredSubscription, PublisherCore};
@@ -37,7 +37,7 @@ use std::time::{Duration, Instant};
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
 use tautline_rt::{PiGuard, PiMutex};
 
-/// How long a new subscription waits for the participants of publishers that are there.
+/// How long a new subscription waits for the participants of existing publishers.
 const PATIENCE: Duration = Duration::from_millis(100);
 
 pub(crate) struct Matcher {
@@ -81,11 +81,11 @@ struct Work {
     subscriptions: BTreeMap<u64, Arc<SubscriptionCore>>,
     /// Participants whose janitors must be called.
     calls: BTreeSet<u64>,
-    /// Publishers of other participants that own subscriptions expect since this began.
+    /// Publishers of other participants that own subscriptions have expected since this work began.
     asked: Vec<(Arc<SubscriptionCore>, Gid)>,
     /// Publishers that subscriptions of this participant no longer use.
     closed: BTreeSet<Gid>,
-    /// Own publishers of which nothing remains.
+    /// Own publishers whose memory was given back.
     released: Vec<u64>,
     outcome: LookOutcome,
 }
@@ -122,7 +122,7 @@ impl Matcher {
         self.state.lock()
     }
 
-    /// Does `what` with the lock held, and what it makes necessary; then calls whom that concerns.
+    /// Runs `what` with the lock held, settles what it changed, and then calls the janitors that this concerns.
     fn work<T>(&self, what: impl FnOnce(&mut MatcherState, &mut Work) -> T) -> (T, LookOutcome) {
         let mut work = Work::default();
         let result = {
@@ -131,7 +131,7 @@ impl Matcher {
             state.settle(&mut work);
             result
         };
-        // Of most of them the record says nothing any more.
+        // The record has no entry of most of them any more.
         work.released.iter().for_each(|number| self.record.forget(*number));
         if !work.calls.is_empty() {
             for member in self.domain.members().filter(|member| work.calls.contains(&member.id)) {
@@ -141,7 +141,7 @@ impl Matcher {
         (result, work.outcome)
     }
 
-    /// As [`work`](Self::work), for others than the janitor, which does later what cannot be done now.
+    /// As [`work`](Self::work), for callers other than the janitor: they leave to it what cannot be done now.
     fn work_and_leave<T>(&self, what: impl FnOnce(&mut MatcherState, &mut Work) -> T) -> T {
         let (result, outcome) = self.work(what);
         if let Some(place) = self.record.place().filter(|_| outcome.is_pending) {
@@ -150,7 +150,7 @@ impl Matcher {
         result
     }
 
-    /// Makes a publisher known, and connects the subscriptions that are there.
+    /// Announces a publisher, and connects the existing subscriptions.
     pub(crate) fn add_publisher(
         &self,
         core: &Arc<PublisherCore>,
@@ -166,7 +166,7 @@ impl Matcher {
         added.inspect_err(|_| self.remove_publisher(core))
     }
 
-    /// Makes a subscription known, and has it connected to the publishers that are there.
+    /// Announces a subscription, and has it connected to the existing publishers.
     pub(crate) fn add_subscription(
         &self,
         core: &Arc<SubscriptionCore>,
@@ -179,20 +179,20 @@ impl Matcher {
             state.by_topic.entry(core.topic.hash()).or_default().subscriptions.insert(core.gid.number());
             state.find_all(core, work)
         });
-        // Who made it drops it if it is refused, and so it is taken back.
+        // On an error the caller drops the subscription, which removes it again.
         added?;
         self.wait_for_connections(core);
         Ok(())
     }
 
-    /// Until the participants of all publishers that are there have connected a new subscription, or patience is over: then what comes
-    /// from those that are missing comes as soon as their processes go on.
+    /// Waits until the participants of all existing publishers have connected a new subscription, for at most `PATIENCE`. Messages of the
+    /// publishers that are missing then arrive as soon as their processes go on.
     fn wait_for_connections(&self, core: &Arc<SubscriptionCore>) {
         let Some(place) = self.record.place().filter(|_| core.expected() > 0) else { return };
         let calls = self.domain.calls(place);
         let end = Instant::now() + PATIENCE;
         loop {
-            // Before the look: who connects it calls this participant.
+            // Read before the refresh: a participant that connects the subscription calls this one.
             let seen = calls.0.load(Ordering::Acquire);
             let left = self.work_and_leave(|state, work| {
                 state.refresh(work);
@@ -201,8 +201,8 @@ impl Matcher {
                 work.outcome.is_pending |= left.is_err();
                 left
             });
-            // What was refused the janitor tries again.
-            let Ok(left) = left.inspect_err(complain) else { return };
+            // The janitor retries what was refused.
+            let Ok(left) = left.inspect_err(warn_once) else { return };
             let patience = end.saturating_duration_since(Instant::now());
             if left == 0 {
                 return;
@@ -219,7 +219,7 @@ impl Matcher {
         }
     }
 
-    /// How many nodes of the domain have the name that has this hash.
+    /// The number of nodes in the domain whose name has this hash.
     pub(crate) fn nodes(&self, hash: u64) -> usize {
         let others = self.work_and_leave(|state, work| {
             state.refresh(work);
@@ -228,27 +228,27 @@ impl Matcher {
         others + self.record.nodes(hash)
     }
 
-    /// Says what other hosts have, and calls those whose ports that concerns.
+    /// Announces the entities of other hosts, and calls the participants whose ports this concerns.
     pub(crate) fn set_remote(&self, remote: &RemoteGraph) -> Result<(), TransportError> {
         let mut topics = BTreeSet::new();
         let said = self.record.set_remote(remote, &mut topics);
         self.work_and_leave(|state, work| {
-            // Who has made a port since then has seen it.
+            // A participant that has created a port since then has read the announcement.
             state.refresh(work);
             work.calls.extend(topics.iter().flat_map(|hash| state.index.participants(*hash)));
         });
         said
     }
 
-    /// A publisher that is used has made a segment, which its subscriptions are to map.
+    /// Announces a new segment of a publisher in use, so that its subscriptions map it.
     pub(crate) fn announce_segments(&self, core: &Arc<PublisherCore>) {
         self.work_and_leave(|_, work| work.publisher(core));
     }
 
-    /// The publisher has ended: nobody publishes any more.
+    /// Removes a publisher that has ended: no thread publishes with it any more.
     pub(crate) fn remove_publisher(&self, core: &Arc<PublisherCore>) {
         self.work_and_leave(|state, work| {
-            // Before it is seen to have gone: it has ended, not died.
+            // Before others see that it has gone: so they see that it ended, and was not killed.
             core.end();
             if core.is_awaited(|gid| state.index.has(gid, core.topic.hash())) {
                 self.record.end(core.gid.number());
@@ -260,7 +260,7 @@ impl Matcher {
                 subscription.disconnect(core.gid, false);
                 work.subscription(&subscription);
             }
-            // Who has made a subscription since then has seen that.
+            // A participant that has created a subscription since then has read the removal.
             state.refresh(work);
             work.calls.extend(state.index.participants(core.topic.hash()));
             state.forget(core.topic.hash(), core.gid.number());
@@ -269,7 +269,7 @@ impl Matcher {
         });
     }
 
-    /// The subscription has gone; samples of it may be out.
+    /// Removes a subscription that has gone; its samples may still be borrowed.
     pub(crate) fn remove_subscription(&self, core: &Arc<SubscriptionCore>) {
         self.work_and_leave(|state, work| {
             self.record.remove(core.gid.number());
@@ -279,26 +279,25 @@ impl Matcher {
             for publisher in state.own_publishers(core.topic.hash()) {
                 state.disconnect(&publisher, core.gid, false, work);
             }
-            // Who has made a publisher since then has seen that.
+            // A participant that has created a publisher since then has read the removal.
             state.refresh(work);
             work.calls.extend(state.index.participants(core.topic.hash()));
             state.forget(core.topic.hash(), core.gid.number());
         });
     }
 
-    /// For the janitor: looks at what has changed in the domain since the last time, and does what is to be done for this participant's
-    /// ports.
+    /// For the janitor: reads what has changed in the domain since the last refresh, and updates this participant's ports.
     pub(crate) fn refresh(&self) -> LookOutcome {
         let look = |state: &mut MatcherState, work: &mut Work| {
             state.refresh(work);
-            // Who is done with an ended publisher elsewhere has called.
+            // A participant that no longer uses an ended publisher of this one has called.
             let departing: Vec<u64> = state.departing.keys().copied().collect();
             state.release(departing, work);
         };
         self.work(look).1
     }
 
-    /// The participant ends. True if somebody may still look for what its publishers have sent.
+    /// Whether a subscription may still look for samples of this participant's publishers, when the participant ends.
     pub(crate) fn is_awaited(&self) -> bool {
         let mut state = self.state();
         let MatcherState { index, peers, departing, domain, .. } = &mut *state;
@@ -327,12 +326,12 @@ impl MatcherState {
         }
     }
 
-    /// Connects a new publisher to all subscriptions that are there.
+    /// Connects a new publisher to all existing subscriptions.
     fn connect_all(&mut self, core: &Arc<PublisherCore>, work: &mut Work) -> Result<(), TransportError> {
         work.publisher(core);
-        // First what has changed, so that nothing is new later that is there now.
+        // First, so that no subscription that exists now is new later.
         self.refresh(work);
-        // Those that cannot be seen now may see this one.
+        // Participants whose records cannot be read now may be able to read this one's.
         work.calls.extend(self.index.refused());
         let own = self.own_subscriptions(core.topic.hash());
         let own: Vec<_> =
@@ -345,7 +344,7 @@ impl MatcherState {
             self.connect_own((core, &port), (&subscription, requested), work)?;
         }
         for (gid, port) in peers {
-            // Also of one that does not fit: its monitor tells of it.
+            // Also for an incompatible subscription: its monitor reports the mismatch.
             work.calls.extend((port.topic == core.topic.name).then_some(gid.participant()));
             self.connect_peer(core, gid, port, work)?;
         }
@@ -355,7 +354,7 @@ impl MatcherState {
         Ok(())
     }
 
-    /// Finds the publishers that are there for a new subscription.
+    /// Finds the existing publishers for a new subscription.
     fn find_all(&mut self, core: &Arc<SubscriptionCore>, work: &mut Work) -> Result<(), TransportError> {
         work.subscription(core);
         self.refresh(work);
@@ -368,15 +367,15 @@ impl MatcherState {
         for (gid, port) in self.index.ports(core.topic.hash(), PortKind::Publisher) {
             work.calls.extend((port.topic == core.topic.name).then_some(gid.participant()));
             if let Err(error) = self.expect_peer(core, gid, port, work) {
-                self.index.try_again((gid, core.topic.hash()));
-                complain(&error);
+                self.index.retry((gid, core.topic.hash()));
+                warn_once(&error);
             }
         }
         let told = self.index.remote(core.topic.hash(), PortKind::Publisher, &core.topic).unwrap_or_default();
         core.set_remote(&told, &HashSet::new());
         if let Err(error) = core.attach() {
             work.outcome.is_pending = true;
-            complain(&error);
+            warn_once(&error);
         }
         Ok(())
     }
@@ -420,7 +419,7 @@ impl MatcherState {
         Ok(())
     }
 
-    /// A publisher of another participant is there.
+    /// Makes a subscription expect a publisher of another participant.
     fn expect_peer(
         &mut self,
         core: &Arc<SubscriptionCore>,
@@ -447,8 +446,8 @@ impl MatcherState {
         }
     }
 
-    /// Reads what other participants' records say that is new, and connects or disconnects what is concerned. What is refused now is
-    /// tried again.
+    /// Reads what has changed in other participants' records, and connects or disconnects the ports that this concerns. What is refused is
+    /// retried later.
     fn refresh(&mut self, work: &mut Work) {
         let IndexUpdate { added, ended, removed, gone, is_refused, grown } =
             self.index.refresh(&self.domain, &mut self.peers);
@@ -479,8 +478,8 @@ impl MatcherState {
                 }
             };
             if let Err(error) = result {
-                self.index.try_again((gid, hash));
-                complain(&error);
+                self.index.retry((gid, hash));
+                warn_once(&error);
             }
         }
         self.find_ended(ended, work);
@@ -532,7 +531,7 @@ impl MatcherState {
         }
     }
 
-    /// What publishers have sent that came and went between two looks, for the subscriptions that they were connected to.
+    /// Attaches subscriptions to publishers that were created and ended between two refreshes, for the samples that those sent.
     fn find_ended(&mut self, ended: Vec<((Gid, u64), Vec<u8>)>, work: &mut Work) {
         let ports = ended.into_iter().filter(|((_, hash), _)| self.by_topic.contains_key(hash));
         let ports = ports.filter_map(|((gid, _), body)| Some((gid, PortRecord::parse(&body)?)));
@@ -545,13 +544,13 @@ impl MatcherState {
                 Err(error) => {
                     self.ended.push((gid, port));
                     work.outcome.is_pending = true;
-                    complain(&error);
+                    warn_once(&error);
                 }
             }
         }
     }
 
-    /// Says of a participant whether it is there.
+    /// Returns a function that says whether a participant is in the domain.
     fn members(&self) -> impl Fn(u64) -> bool + use<> {
         let members: BTreeSet<u64> = self.domain.members().map(|member| member.id).collect();
         let own = self.index.own();
@@ -577,7 +576,7 @@ impl MatcherState {
         }
     }
 
-    /// Subscriptions that have gone, and whose samples are back by now, are done with.
+    /// Closes the connections of subscriptions that have gone, and whose samples have been returned by now.
     fn close_returned(&mut self, work: &mut Work) {
         self.returning.retain(|core| {
             let is_returned = core.is_returned.load(Ordering::Acquire);
@@ -590,7 +589,7 @@ impl MatcherState {
 
     /// Hands over what has changed to the threads that publish and take, and gives back what nobody uses any more.
     fn settle(&mut self, work: &mut Work) {
-        // A participant that has made a connection by now calls by itself.
+        // A participant that has made the connection by now need not be called.
         let still = work.asked.drain(..).filter(|(core, gid)| core.expects(*gid));
         work.calls.extend(still.map(|(_, gid)| gid.participant()));
         // Segments of samples that publishers have made are mapped before samples come from there.
@@ -602,7 +601,7 @@ impl MatcherState {
                 work.subscription(&subscription);
             }
         }
-        // Before the publishers: a server knows that a client has gone before it cannot answer it any more.
+        // Before the publishers: a server learns that a client has gone before it can no longer respond to it.
         for core in work.subscriptions.values() {
             let (closed, is_closing) = core.settle();
             work.closed.extend(closed);

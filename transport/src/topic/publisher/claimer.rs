@@ -9,7 +9,7 @@ use std::io;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-/// Claims memory of a publisher for a thread that must not: one that receives for many topics, for instance.
+/// Claims memory of a publisher instead of a thread that must not, such as one that receives for many topics.
 #[derive(Clone)]
 pub struct MemoryClaimer {
     pub(super) core: Arc<PublisherCore>,
@@ -17,7 +17,7 @@ pub struct MemoryClaimer {
     pub(super) participant: Arc<ParticipantState>,
 }
 
-/// Claims memory of a publisher that outlives this: in the publishing thread nothing is dropped.
+/// As [`MemoryClaimer`], but borrowed from a publisher that outlives it: the publishing thread drops nothing.
 pub(super) struct Claiming<'p> {
     pub(super) core: &'p Arc<PublisherCore>,
     pub(super) counters: &'p PublisherCounters,

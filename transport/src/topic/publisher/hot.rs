@@ -35,7 +35,7 @@ pub struct RawLoan<'p> {
     len_bytes: usize,
 }
 
-/// What is left behind where there is no room.
+/// What a publisher requests of a subscription whose queue is full.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum WhenFull {
     /// Nothing: the caller tries again later.
@@ -61,7 +61,7 @@ pub(crate) enum Stamp {
     Again(MessageInfo),
 }
 
-/// What a sample is and to whom it goes.
+/// What is sent, and to which subscriptions.
 #[derive(Clone, Copy)]
 pub(crate) struct Sending {
     pub(crate) stamp: Stamp,
@@ -82,9 +82,9 @@ impl RawPublisher {
     /// write every byte.
     ///
     /// # Real-time
-    /// Wait-free, O(subscriptions), and O(samples) if none is free but those that were returned last; no allocation; no syscall. For a type without a fixed size, a body that is longer than
-    /// `Limits::message_bytes` and than all bodies before needs a larger segment, and a publisher whose memory is claimed on use may
-    /// need more samples: allocates, maps memory, takes a lock, which inherits priority.
+    /// Wait-free, O(subscriptions), and O(samples + returned samples) if the list of free samples is empty; no allocation; no syscall. For
+    /// a type without a fixed size, a body that is longer than `Limits::message_bytes` and than all bodies before needs a larger segment,
+    /// and a publisher that claims memory on use may need more samples: allocates, maps memory, takes a lock, which inherits priority.
     ///
     /// # Errors
     /// [`LoanError::Exhausted`]: `Limits::loans` loans are already in use. [`LoanError::TooLarge`]: longer than the topic's
@@ -121,7 +121,7 @@ impl RawPublisher {
         let payload = unsafe { segment.as_ref() }.payload(index);
         self.loaned.set(self.loaned.get() + 1);
         let mut loan = RawLoan { publisher: self, segment, index, payload, len_bytes };
-        // What is not the body's is zero, whatever was here before.
+        // The padding after the body is zero, whatever the sample contained before.
         let padded = padded(len_bytes);
         if let Some(rest) = loan.all_mut().get_mut(len_bytes..padded) {
             rest.fill(0);
@@ -135,7 +135,7 @@ impl RawPublisher {
     /// As [`loan`](Self::loan), but it never claims memory.
     pub fn has_memory(&self, len_bytes: usize) -> bool {
         if len_bytes > self.most_bytes {
-            // The loan says why it fails.
+            // The loan returns the error.
             return true;
         }
         let mut publish_state = self.publish_state.borrow_mut();
@@ -149,11 +149,11 @@ impl RawPublisher {
         true
     }
 
-    /// From now on samples are longer.
+    /// Makes samples longer from now on.
     #[cold]
     fn lengthen(&self, len_bytes: usize, before: usize) -> Result<(), LoanError> {
         let after = self.claiming().lengthen(len_bytes)?;
-        // Who claims on use has asked for it, and claims the sample next: that is counted.
+        // A publisher that claims on use expects this. It claims the sample next, which is counted.
         if self.core.limits.claim == Claim::Ahead {
             self.counters.growths.fetch_add(1, Ordering::Relaxed);
             self.warn_of_growth(len_bytes, before, after);
@@ -175,7 +175,7 @@ impl RawPublisher {
     }
 
     /// Copies each body into a loan and publishes it, in this order, and rings each subscription once, when all are queued or one was not
-    /// published. What is published so to a keep-last subscription beyond its depth overwrites the oldest.
+    /// published. Messages for a keep-last subscription beyond its depth overwrite the oldest.
     ///
     /// # Real-time
     /// As [`publish`](Self::publish) for each body, but with one fence and one ring for all.
@@ -193,13 +193,13 @@ impl RawPublisher {
         })
     }
 
-    /// Publishes what `loan` makes of each message, and rings at the end.
+    /// Publishes each message in the loan that `loan` makes of it, and rings at the end.
     pub(crate) fn publish_each<'p, M, E: From<PublishError>>(
         &'p self,
         messages: impl IntoIterator<Item = M>,
         mut loan: impl FnMut(M) -> Result<RawLoan<'p>, E>,
     ) -> Result<usize, BurstError<E>> {
-        // Rung also if what is called here panics.
+        // Its drop rings, also if `messages` or `loan` panics.
         let mut burst = Burst { publisher: self, must_ring: false };
         let mut published = 0;
         for message in messages {
@@ -227,7 +227,7 @@ impl RawPublisher {
         Ok(())
     }
 
-    /// Submits a loan to each subscription, which is to be [rung](Self::ring), unless it returns false: then nothing was sent.
+    /// Submits a loan to each subscription, which the caller must [ring](Self::ring) then. Returns false if nothing was sent.
     fn queue<'p>(&'p self, loan: RawLoan<'p>, sending: Sending) -> Result<bool, SendError<RawLoan<'p>>> {
         if self.gate.as_ref().is_some_and(|gate| !gate.is_open()) {
             self.counters.silenced.fetch_add(1, Ordering::Relaxed);
@@ -300,19 +300,19 @@ impl RawPublisher {
             sender.note_sample(now_ns);
             // SAFETY: it is live, so its sending half is this thread's.
             unsafe {
-                // An observer counts for itself what is sent to others, each of which does.
+                // An observer has its own numbers for samples that are sent to others, as each of these has.
                 let is_others = sending.to.is_some_and(|to| to != sender.subscription);
                 sender.submit(if is_others { sender.next_own() } else { number }, chunk, pool);
             }
         }
         pool.release(segment, index);
-        // Release: pairs with the Acquire of who sets up a late joiner; what is kept is kept.
+        // Release: pairs with the Acquire of the setup code of a late joiner; the history has the sample.
         core.published.store(publish_state.sequence_number, Ordering::Release);
         core.traffic.note(len_bytes, now_ns);
         Ok(true)
     }
 
-    /// Rings those that samples were [queued](Self::queue) for.
+    /// Rings the subscriptions for which samples were [queued](Self::queue).
     fn ring(&self, to: Option<Gid>) {
         let history = self.core.history.as_ref();
         let mut publish_state = self.publish_state.borrow_mut();
@@ -325,7 +325,7 @@ impl RawPublisher {
         publish_state.ring(to);
     }
 
-    /// Claims the memory of queues that one more sample needs. False if there is none.
+    /// Claims the memory of queues that one more sample needs. Returns false if there is none.
     #[cold]
     fn claim_queues(&self, publish_state: &PublishState, to: Option<Gid>) -> bool {
         publish_state.table().receiving(to).all(|sender| {
@@ -352,7 +352,7 @@ impl RawPublisher {
         }
     }
 
-    /// What this publisher's own message says of itself.
+    /// The information about a message of this publisher's own.
     fn info(&self, sequence_number: u64) -> MessageInfo {
         MessageInfo {
             sequence_number,
@@ -393,7 +393,7 @@ impl RawPublisher {
 /// Samples that are published one after the other.
 struct Burst<'p> {
     publisher: &'p RawPublisher,
-    /// Some are queued.
+    /// Samples are queued, and not rung for yet.
     must_ring: bool,
 }
 
@@ -413,9 +413,9 @@ fn take(publish_state: &PublishState) -> Option<(NonNull<Segment>, usize)> {
     Some((NonNull::from(segment), index))
 }
 
-/// The same; before that, subscriptions return samples that they have taken: all of them only if no other is free. Else twice as many as were
-/// loaned meanwhile: what is returned at once, as by a recorder, is spread over some loans, and yet no more is out than the queues have room
-/// for. What setup code has freed is looked for last.
+/// As [`take`], after subscriptions have returned samples: all of them only if no other sample is free, otherwise twice as many as were
+/// loaned meanwhile. So what is returned at once, as by a recorder, is spread over some loans, and yet no more is in use than the queues
+/// have room for. Samples that setup code has freed are searched last.
 fn take_returned(publish_state: &mut PublishState) -> Option<(NonNull<Segment>, usize)> {
     publish_state.reclaim_some();
     take(publish_state).or_else(|| {
@@ -425,7 +425,7 @@ fn take_returned(publish_state: &mut PublishState) -> Option<(NonNull<Segment>, 
     })
 }
 
-/// Whether each keep-all subscription can queue one more. Only this publisher fills its queues, so room stays room.
+/// Whether the queue of each keep-all subscription has room for one more. Only this publisher fills its queues, so room stays room.
 fn has_room(publish_state: &PublishState, sending: Sending) -> bool {
     let is_asked = sending.when_full == WhenFull::Ask;
     // SAFETY: they are live, so their sending halves are this thread's.
@@ -459,14 +459,14 @@ impl<'p> RawLoan<'p> {
     pub fn truncate(&mut self, len_bytes: usize) {
         if len_bytes < self.len_bytes {
             self.len_bytes = len_bytes;
-            // What is not the body's is zero.
+            // The padding after the body is zero.
             if let Some(rest) = self.payload_mut().get_mut(len_bytes..) {
                 rest.fill(0);
             }
         }
     }
 
-    /// The sample, which has one reference.
+    /// Ends the loan. Returns the sample, which has one reference.
     fn into_sample(self) -> (NonNull<Segment>, usize) {
         let loan = ManuallyDrop::new(self);
         loan.publisher.loaned.set(loan.publisher.loaned.get() - 1);
@@ -571,7 +571,7 @@ impl Drop for RawLoan<'_> {
         let segment = unsafe { self.segment.as_ref() };
         match self.publisher.publish_state.try_borrow() {
             Ok(publish_state) => publish_state.table().pool.release(segment, self.index),
-            // Found when no other is free.
+            // The sample is listed when no other is free.
             Err(_) => _ = segment.release(self.index),
         }
     }

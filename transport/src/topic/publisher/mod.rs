@@ -41,7 +41,7 @@ pub struct RawPublisher {
     gate: Option<Gate>,
     /// Whether its liveliness is manual.
     is_manual: bool,
-    /// `u64::MAX` without one.
+    /// `u64::MAX` without a lifespan.
     lifespan_ns: u64,
     trace: tautline_trace::Object,
     /// The length of the longest body that it sends.
@@ -141,7 +141,7 @@ impl RawPublisher {
         self
     }
 
-    /// Claims its memory in another thread; see [`has_memory`](Self::has_memory).
+    /// A handle that claims this publisher's memory in another thread; see [`has_memory`](Self::has_memory).
     pub fn claimer(&self) -> MemoryClaimer {
         let (core, counters) = (self.core.clone(), self.counters.clone());
         MemoryClaimer { core, counters, participant: self.participant.clone() }
@@ -151,7 +151,7 @@ impl RawPublisher {
         Claiming { core: &self.core, counters: &self.counters, participant: &self.participant }
     }
 
-    /// What its monitor watches.
+    /// The setup part, for the publisher's monitor.
     pub(crate) fn core(&self) -> &Arc<PublisherCore> {
         &self.core
     }
@@ -161,7 +161,7 @@ impl RawPublisher {
         &self.core.topic.name
     }
 
-    /// The requested quality of service.
+    /// The offered quality of service.
     pub fn qos(&self) -> Qos {
         self.core.qos
     }
@@ -205,7 +205,7 @@ impl RawPublisher {
         self.counters.clone()
     }
 
-    /// A message did not fit.
+    /// Warns, the first time, that a message did not fit into a sample.
     #[cold]
     fn warn_of_growth(&self, len_bytes: usize, before: usize, after: usize) {
         let is_first = before == sample_bytes(self.core.limits.message_bytes);
@@ -245,13 +245,13 @@ impl RawPublisher {
     ) -> Result<impl Future<Output = Result<(), TransportError>> + Send + use<>, TransportError> {
         let participant = self.participant.clone();
         let topic = self.topic().to_owned();
-        // Before the first look: nothing that happens after it is missed.
+        // Before the first check of the graph, so that no later change is missed.
         let mut events = participant.graph_events()?;
         Ok(async move {
             let is_wanted =
                 |end: &Arc<TopicEndpoint>| end.kind == EndpointKind::Subscription && end.topic == topic;
             while !participant.graph()?.endpoints.iter().any(is_wanted) {
-                // It does not end: the participant is alive.
+                // The stream does not end: the participant is alive.
                 events.next().await;
             }
             Ok(())

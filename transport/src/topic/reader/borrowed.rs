@@ -39,9 +39,9 @@ struct BorrowTableState<S> {
     _end: Box<dyn Any + Send + Sync>,
 }
 
-// SAFETY: through a shared reference a BorrowedSample only sets bits and wakes. Places are touched by the BorrowTable, which is not Sync,
-// or by the last owner's drop. What samples have in common with each other belongs to one subscription, as the BorrowTable does, so one
-// thread at a time uses it; if only Lents are left, nobody but the last of them does.
+// SAFETY: through a shared reference a BorrowedSample only sets bits and wakes. Places are accessed by the BorrowTable, which is not Sync,
+// or by the last owner's drop. State that the samples share belongs to one subscription, as the BorrowTable does, so one thread at a time
+// uses it; if only BorrowedSamples are left, only the drop of the last one does.
 unsafe impl<S> Send for BorrowTableState<S> {}
 // SAFETY: as above.
 unsafe impl<S> Sync for BorrowTableState<S> {}
@@ -99,7 +99,7 @@ impl<S> BorrowTable<S> {
     pub(crate) fn wake_when_back(&self, waker: &Waker) -> bool {
         self.state.waker.register(waker);
         self.state.starved.store(1, Ordering::Relaxed);
-        // Either the one who drops sees `starved`, or its bit is seen here.
+        // Either the dropping thread sees `starved`, or this thread sees its bit.
         full_fence();
         self.state.back.iter().any(|word| word.load(Ordering::Relaxed) != 0)
     }

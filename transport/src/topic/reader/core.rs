@@ -20,20 +20,20 @@ use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use tautline_doorbell::Slot;
 use tautline_rt::{LatestReader, LatestWriter, PiGuard, PiMutex, latest};
 
-/// Publishers that have ended with samples that no take has seen: of more, the samples of the one that ended first are lost, and
-/// counted.
+/// The maximum number of ended publishers with samples that no take has seen: beyond it, the samples of the one that ended first are lost,
+/// and counted.
 const UNSEEN: usize = 64;
 
 /// What a subscription is made for, besides its topic.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct SubscriptionRole {
-    /// What it gets is passed on.
+    /// It is a relay's: its messages are passed on.
     pub(crate) is_relay: bool,
-    /// It only looks on.
+    /// The subscription is an observer.
     pub(crate) is_observer: bool,
-    /// Of a client's responses: the port of its requests.
+    /// For a client's responses: the number of the port of its requests.
     pub(crate) partner: Option<u64>,
-    /// The number of the port, if that was known before.
+    /// The number of the port, if it was allocated before.
     pub(crate) number: Option<u64>,
 }
 
@@ -44,18 +44,18 @@ pub(crate) struct SubscriptionCore {
     pub(crate) limits: Limits,
     pub(crate) is_relay: bool,
     is_observer: bool,
-    /// For a client's responses: the port of its requests.
+    /// For a client's responses: the number of the port of its requests.
     partner: Option<u64>,
     pub(crate) slot: Arc<Slot>,
     /// Publishers on this host that match.
     pub(crate) matched: Arc<AtomicUsize>,
     /// Samples of ended publishers that no take has seen and none will.
     pub(crate) forgotten: AtomicU64,
-    /// The subscription has gone, and all its samples are back.
+    /// The subscription has gone, and all its samples have been returned.
     pub(crate) is_returned: AtomicBool,
-    /// The thread that takes wants whoever sets up to look: a sample cannot be reached, or an ended publisher has nothing left.
+    /// The taking thread requests a refresh by the setup code: a sample cannot be reached, or an ended publisher has nothing left.
     pub(crate) has_called: AtomicBool,
-    /// Publishers that are expected, and publishers that must be closed.
+    /// The number of publishers that are expected, or must be closed.
     unfinished: AtomicUsize,
     setup: PiMutex<Setup>,
 }
@@ -130,7 +130,7 @@ impl SubscriptionCore {
         self.setup.lock()
     }
 
-    /// What others read of it.
+    /// The subscription's entry in the record.
     pub(crate) fn record(&self, node: Option<u64>) -> PortRecord {
         PortRecord {
             node,
@@ -143,7 +143,7 @@ impl SubscriptionCore {
         }
     }
 
-    /// A publisher is there. True if its participant is to make a connection, which [`attach`](Self::attach) then finds.
+    /// Adds a discovered publisher. True if its participant is to make a connection, which [`attach`](Self::attach) then finds.
     pub(crate) fn expect(&self, expected: DiscoveredPublisher) -> bool {
         let mut setup = self.setup();
         let gid = expected.gid;
@@ -207,7 +207,7 @@ impl SubscriptionCore {
         let DiscoveredPublisher { gid, port, source, gone } = expected;
         let Some(connection) = source.connection(self.gid, gone.is_some())? else { return Ok(false) };
         if connection.block().back.state() != ReaderState::Unknown {
-            // It was attached before, and that is over.
+            // It was attached before, and has been removed since.
             return Ok(false);
         }
         let slot = port.slot as usize;
@@ -217,7 +217,7 @@ impl SubscriptionCore {
         connection.bring_in();
         connection.block().back.mapped.store(grown, Ordering::Relaxed);
         connection.block().back.set_state(ReaderState::Attached);
-        // A server's answers go to clients, each of which is told its own numbers.
+        // A server's responses go to single clients, each of which has its own sequence numbers.
         let is_others = self.is_observer && port.partner.is_some();
         let qos = port.qos.qos();
         let both_keep_all =
@@ -261,14 +261,14 @@ impl SubscriptionCore {
         self.unfinished.store(setup.expected.len() + setup.closing.len(), Ordering::Relaxed);
     }
 
-    /// A publisher has gone. `is_dead`: with its participant, so that it was killed unless its memory says that it ended. Call [`settle`](Self::settle) afterwards.
+    /// Ends a publisher. `is_dead`: with its participant, so killed unless its memory says that it ended. Then [`settle`](Self::settle).
     pub(crate) fn disconnect(&self, publisher: Gid, is_dead: bool) {
         let mut setup = self.setup();
         let is_expected = |expected: &DiscoveredPublisher| expected.gid == publisher;
         let Some(place) = setup.expected.iter().position(is_expected) else {
             return end(&mut setup, publisher, is_dead);
         };
-        // One last time: what it sent before it was found.
+        // Attaches it a last time, for what it sent before it was found.
         let mut expected = setup.expected.swap_remove(place);
         expected.gone = Some(is_dead);
         if self.try_attach(&mut setup, &expected).is_err() {
@@ -277,7 +277,7 @@ impl SubscriptionCore {
         self.note_unfinished(&setup);
     }
 
-    /// Maps segments that a publisher has made since the last time; all of them if none is named.
+    /// Maps the segments that a publisher has added since the last call; those of all publishers for `None`.
     ///
     /// # Errors
     /// The system refuses.
@@ -288,7 +288,7 @@ impl SubscriptionCore {
         for gid in publisher.map_or_else(all, |gid| vec![gid]) {
             let Some(known) = proxies.get(gid).filter(|known| !known.entry.has_ended) else { continue };
             let (segments, grown) = known.source.segments()?;
-            // Release: they are mapped.
+            // Release: pairs with the Acquire in `Back::is_behind`; the segments are mapped.
             known.entry.receiver.block().back.mapped.store(grown, Ordering::Release);
             if !Arc::ptr_eq(&segments, &known.entry.segments)
                 && let Some(known) = proxies.get_mut(gid)
@@ -300,17 +300,17 @@ impl SubscriptionCore {
         Ok(())
     }
 
-    /// The endpoints on other hosts, with their tags, and the tags of those that have ended by themselves.
+    /// Sets the endpoints on other hosts, with their tags, and the tags of those that have ended by themselves.
     pub(crate) fn set_remote(&self, told: &[(Gid, u64)], ended: &HashSet<u64>) {
         self.setup().endpoints.set_remote(told, ended);
     }
 
-    /// Hands over what has changed, rings for it, and tells monitors. Returns the publishers whose connections were closed,
-    /// and whether some are still to be.
+    /// Hands over what has changed, rings for it, and notifies monitors. Returns the publishers whose connections were closed,
+    /// and whether others are still to be closed.
     pub(crate) fn settle(&self) -> (Vec<Gid>, bool) {
         let mut setup = self.setup();
         self.forget_unseen(&mut setup);
-        // Closing hands over what is new, too.
+        // `close_done` hands over what is new, too.
         let was_stale = setup.is_stale;
         let (closed, is_closing) = close_done(&mut setup);
         self.note_unfinished(&setup);
@@ -322,14 +322,14 @@ impl SubscriptionCore {
             self.slot.doorbell().arena().ring_events(self.slot.index());
         }
         if was_stale || is_stale {
-            // What came before it was attached was announced to nobody; and what is closed is still in the former table. Last: a
-            // client looks at its servers when it is rung.
+            // Samples that were queued before it was attached rang nobody, and the former table still has what is closed. Last: a client
+            // checks its servers when it is rung.
             self.slot.ring();
         }
         (closed, is_closing)
     }
 
-    /// Of publishers that have ended and that no take has seen, only the newest stay, and those that sent nothing not at all.
+    /// Forgets ended publishers that no take has seen: those that have sent nothing, and all but the newest `UNSEEN`.
     fn forget_unseen(&self, setup: &mut Setup) {
         let ended = setup.ended.iter().filter_map(|gid| setup.proxies.get(*gid));
         let unseen: Vec<_> = ended.filter(|proxy| proxy.entry.receiver.is_new()).collect();
@@ -346,7 +346,7 @@ impl SubscriptionCore {
         setup.is_stale |= has_forgotten;
     }
 
-    /// The subscription has gone and its samples are back: its publishers may have their memory again. Returns those.
+    /// Closes the connections of a subscription that has gone, when its samples are back. Returns the publishers, which may reuse memory.
     pub(crate) fn close(&self) -> Vec<Gid> {
         let mut setup = self.setup();
         setup.expected.clear();
@@ -358,7 +358,7 @@ impl SubscriptionCore {
         let closing = std::mem::take(&mut setup.closing);
         let proxies = proxies.iter().chain(&closing);
         let closed = proxies.map(close).collect();
-        // Nobody takes any more: with this go the tables, which keep what was there mapped.
+        // No thread takes any more: the tables are dropped here, which keep the publishers' memory mapped.
         setup.table = latest(Arc::default()).0;
         closed
     }
@@ -368,12 +368,12 @@ impl SubscriptionCore {
     }
 }
 
-/// A publisher has gone: what it sent is taken, and nothing comes after it.
+/// Marks a publisher as ended: what it sent is still taken, and nothing comes after it.
 fn end(setup: &mut Setup, publisher: Gid, is_dead: bool) {
     let mut was_killed = false;
     if let Some(proxy) = setup.proxies.get_mut(publisher).filter(|proxy| !proxy.entry.has_ended) {
         was_killed = is_dead && !proxy.source.has_ended();
-        // If that is refused what lies there is lost, and counted.
+        // If mapping is refused, the samples in those segments are lost, and counted.
         if let Ok((segments, _)) = proxy.source.segments() {
             proxy.entry.segments = segments;
         }
@@ -389,8 +389,8 @@ fn hand_over(setup: &mut Setup) {
     setup.table.write(Arc::new(WriterTable { proxies: setup.proxies.clone() }));
 }
 
-/// Publishers that are done, once neither the taking thread's table nor a sample refers to them any more, may have their memory again.
-/// Returns those, and whether there are others that are referred to.
+/// Closes the publishers that are done, once neither the taking thread's table nor a sample refers to them any more: they may reuse their
+/// memory. Returns them, and whether others are still referred to.
 fn close_done(setup: &mut Setup) -> (Vec<Gid>, bool) {
     let Setup { proxies, ended, closing, .. } = setup;
     ended.retain(|gid| {
@@ -403,14 +403,14 @@ fn close_done(setup: &mut Setup) -> (Vec<Gid>, bool) {
     if setup.closing.is_empty() {
         return (Vec::new(), false);
     }
-    // The tables that were handed over before come back, one by one, and are dropped here; the one that the taking thread has, when it
-    // has taken a new one.
+    // Each write drops one of the tables that were handed over before, except the one that the taking thread has: that is dropped after the
+    // thread has taken a new one.
     (0..2).for_each(|_| hand_over(setup));
     let mut closed = Vec::new();
     setup.closing.retain(|proxy| {
         let stays = Arc::strong_count(&proxy.entry.receiver) > 1;
         if !stays {
-            // What others did with it is over.
+            // Acquire: all uses of the receiver by other threads are over.
             std::sync::atomic::fence(Ordering::Acquire);
             proxy.entry.receiver.block().back.set_state(ReaderState::Closed);
             closed.push(proxy.publisher);

@@ -51,8 +51,8 @@ pub(crate) enum ReceiverKind {
     Others,
 }
 
-/// Of samples that nobody overwrites, so many at most are taken out of the queue at a time: each time costs both sides a fetch of a cache
-/// line from the other's core.
+/// The maximum number of samples taken at a time out of a queue in which nothing is overwritten: each time costs both sides a fetch
+/// of a cache line from the other's core.
 const AT_A_TIME: usize = 8;
 
 /// The taking thread's half.
@@ -64,9 +64,9 @@ struct TakeHalf {
     /// Samples that were taken out of the queue and come next, the first one last.
     stash: [u64; AT_A_TIME],
     stashed: usize,
-    /// How many were left in the queue, until the first of the stash is given out.
+    /// The number of samples that were left in the queue, until the first one of the stash is given out.
     queued: usize,
-    /// Of samples that are addressed to other subscriptions: how many were overwritten, and counted.
+    /// For samples that are addressed to other subscriptions: the number of overwritten ones that were counted.
     overwritten: u64,
 }
 
@@ -117,7 +117,7 @@ pub(crate) struct WriterEntry {
 pub(crate) struct BorrowedChunk {
     receiver: Arc<Receiver>,
     chunk: u64,
-    /// Its segment stays mapped.
+    /// Keeps the sample's segment mapped.
     _map: Arc<Mapping>,
 }
 
@@ -131,7 +131,7 @@ impl Drop for BorrowedChunk {
     /// # Real-time
     /// Wait-free; no syscall: whoever sets up has the receiver and the mapping as long as one of these is left.
     fn drop(&mut self) {
-        // SAFETY: samples are dropped by the subscription's thread, or by the last that has one when the subscription is gone.
+        // SAFETY: samples are dropped by the subscription's thread, or, when the subscription has gone, by the last thread that has one.
         unsafe { self.receiver.connection.give_back(self.chunk) };
     }
 }
@@ -147,7 +147,7 @@ pub(crate) struct TakenSample {
     pub(crate) waiting: u64,
 }
 
-/// What came of a look at a publisher's queue.
+/// The result of a check of a publisher's queue.
 pub(crate) enum TakeOutcome {
     Taken(TakenSample),
     /// A sample exists, but cannot be reached yet: setup code maps its segment and rings. There may be more samples behind
@@ -207,12 +207,12 @@ impl Receiver {
         self.turn.is_done()
     }
 
-    /// Setup: forgets a publisher that has ended and that no take has seen, with what it sent: returns how many samples that are.
+    /// Setup: forgets an ended publisher that no take has seen, with its samples. Returns the number of these.
     pub(crate) fn forget(&self) -> Option<u64> {
         self.turn.retire().is_setups.then(|| self.unseen())
     }
 
-    /// How many samples it has sent, of which none was taken.
+    /// The number of samples that it has sent, of which none was taken.
     fn unseen(&self) -> u64 {
         let (start, sent) = (&self.block().out.start, &self.block().out.sent);
         match start.load(Ordering::Relaxed) {
@@ -282,10 +282,10 @@ impl Receiver {
         TakeOutcome::Taken(TakenSample { held, header, payload, lost, waiting })
     }
 
-    /// The oldest sample that was not given out.
+    /// Removes the oldest sample that was not given out.
     ///
     /// # Safety
-    /// For the thread that takes, of a live receiver, whose half that is.
+    /// For the thread that takes; the receiver is live, and `half` is its half.
     unsafe fn next_chunk(&self, half: &mut TakeHalf, segments: &SegmentViews) -> Option<u64> {
         if half.stashed == 0 {
             let mut places = half.stash.iter_mut().take(self.at_a_time);
@@ -296,7 +296,7 @@ impl Receiver {
             {
                 *place = chunk;
                 half.stashed += 1;
-                // While those before it are read.
+                // The fetch proceeds while the samples before it are read.
                 if let Some((_, payload)) = locate(chunk, segments).filter(|_| half.stashed > 1) {
                     fetch_to_read(payload.cast());
                     // SAFETY: a header is before it.
@@ -304,7 +304,7 @@ impl Receiver {
                 }
             }
             half.stash.get_mut(..half.stashed)?.reverse();
-            // Its positions are on the cache line that was fetched just now.
+            // The queue's positions are on the cache line that was fetched just now.
             half.queued = if half.stashed > 0 { self.connection.queued() } else { 0 };
         }
         half.stashed = half.stashed.checked_sub(1)?;
@@ -313,11 +313,11 @@ impl Receiver {
 
     /// Whether there is something to take. `None`: there is, but it cannot be reached yet.
     ///
-    /// Where a publisher has segments that are not mapped here only the sample itself tells whether it is in one: it is taken out of the
-    /// queue for that, and is what the next look gives.
+    /// If the publisher has segments that are not mapped here, only the sample itself shows whether it lies in one: it is taken out of the
+    /// queue for that, and parked for the next take.
     ///
     /// # Real-time
-    /// Lock-free: as [`look`](Self::look); no allocation; no syscall.
+    /// Lock-free: as [`take_oldest`](Self::take_oldest); no allocation; no syscall.
     ///
     /// # Safety
     /// For the thread that takes, of a live receiver.
@@ -331,7 +331,7 @@ impl Receiver {
             if !self.has_samples() {
                 return Some(false);
             }
-            // What its publisher made before it sent this one is seen.
+            // Acquire: segments that the publisher added before it sent this sample are seen.
             fence(Ordering::Acquire);
             if *has_ended || self.head.as_ref().is_none_or(|head| head.grown() == *grown) {
                 return Some(true);
@@ -361,7 +361,7 @@ impl Receiver {
         }
     }
 
-    /// The queue of an ended publisher is empty: what it sent and never came is lost.
+    /// Settles an ended publisher whose queue is empty: samples that it sent and that never arrived are lost.
     fn settle(&self, half: &TakeHalf) -> TakeOutcome {
         let sent = self.block().out.sent.load(Ordering::Relaxed);
         let lost =
@@ -387,7 +387,7 @@ impl TakenSample {
     }
 }
 
-/// Where a sample lies: all of it behind its header. `None`: its segment is not mapped here, or there is no such sample.
+/// A sample's segment, and its bytes after the header. `None`: its segment is not mapped here, or there is no such sample.
 fn locate(chunk: u64, segments: &SegmentViews) -> Option<(&SegmentView, NonNull<[u8]>)> {
     let ChunkOffset { segment, offset_bytes } = ChunkOffset::from_word(chunk);
     let view = segments.get(segment)?.as_ref()?;
@@ -413,7 +413,7 @@ pub(crate) struct TakeState {
     in_a_row: usize,
 }
 
-/// After so many samples of one publisher others have a turn.
+/// After this many samples of one publisher in a row, other publishers have a turn.
 const IN_A_ROW: usize = 16;
 
 impl TakeState {
@@ -421,19 +421,19 @@ impl TakeState {
         TakeState { table, next: 0, in_a_row: 0 }
     }
 
-    /// Looks whether publishers have come or gone, and takes over what has.
+    /// Checks whether publishers were added or removed, and takes the changes over.
     ///
     /// # Real-time
     /// Wait-free: one load; O(publishers) when they have.
     pub(crate) fn refresh(&mut self) {
         if self.table.is_fresh() {
-            // One that was adopted before, or forgotten, is not adopted.
+            // A receiver that was adopted before, or forgotten, is not adopted.
             self.table.read().entries().for_each(|entry| _ = entry.receiver.turn.adopt());
             (self.next, self.in_a_row) = (0, 0);
         }
     }
 
-    /// Takes the oldest sample of a publisher; tells `each` what else was found on the way.
+    /// Takes the oldest sample of a publisher; calls `each` with the other outcomes on the way.
     ///
     /// # Real-time
     /// O(publishers); no allocation; no syscall.
@@ -461,7 +461,7 @@ impl TakeState {
         None
     }
 
-    /// Whether this publisher is there, and has not ended.
+    /// Whether this publisher is connected, and has not ended.
     ///
     /// # Real-time
     /// O(publishers); no allocation; no syscall.
@@ -479,7 +479,7 @@ impl TakeState {
         live.map(|entry| unsafe { entry.receiver.waiting() }).fold(0, u64::saturating_add)
     }
 
-    /// Whether a publisher has something that can be taken; tells `each` of what cannot be reached yet.
+    /// Whether a publisher has a sample that can be taken; calls `each` for samples that cannot be reached yet.
     ///
     /// # Real-time
     /// Lock-free, O(publishers); no allocation; no syscall.

@@ -23,15 +23,15 @@ pub(crate) enum PublisherMemory {
 }
 
 impl PublisherMemory {
-    /// The connection of a subscription, if there is one by now. Another participant's publisher is to serve it, unless it has gone: a
-    /// subscription that is attached gets what is published from then on.
+    /// The connection of a subscription, if it exists by now. A publisher of another participant must serve it, unless it has gone: an
+    /// attached subscription gets what is published from then on.
     pub(crate) fn connection(
         &self,
         subscription: Gid,
         has_gone: bool,
     ) -> Result<Option<Connection>, TransportError> {
         match self {
-            // Handed over to its thread before whoever attaches it lets go of the lock.
+            // Handed over to the publishing thread before the caller that attaches it releases the lock.
             PublisherMemory::Own(core) => Ok(core.view().and_then(|view| view.find(subscription))),
             PublisherMemory::Peer(peer) => {
                 let connection = peer.connection(subscription)?;
@@ -40,7 +40,7 @@ impl PublisherMemory {
         }
     }
 
-    /// The publisher's segments of samples, mapped, and how often they have changed. The same as before if there are no others.
+    /// The publisher's segments of samples, mapped, and their change count. The same views as before if nothing has changed.
     pub(crate) fn segments(&self) -> Result<(SegmentViews, u32), TransportError> {
         match self {
             PublisherMemory::Own(core) => Ok(core.segment_views()),
@@ -48,7 +48,7 @@ impl PublisherMemory {
         }
     }
 
-    /// The head of its memory; `None` if that has gone.
+    /// The head of the publisher's memory; `None` if that has gone.
     pub(crate) fn head(&self) -> Option<MappedControl> {
         match self {
             PublisherMemory::Own(core) => core.view().map(|view| view.head_map()),
@@ -64,7 +64,7 @@ impl PublisherMemory {
         }
     }
 
-    /// Whether the publisher said that it ended.
+    /// Whether the publisher ended in an orderly way, as own publishers always do: this process is alive.
     pub(crate) fn has_ended(&self) -> bool {
         match self {
             PublisherMemory::Own(_) => true,
@@ -98,7 +98,7 @@ impl PeerPublisher {
 
     fn map_parts(&self, view: &mut View) -> Result<(), TransportError> {
         for range in view.missing() {
-            // One that is not there is a lie, and nothing is found in it.
+            // A part that does not exist is a false claim, and nothing is found in it.
             if let Some(map) = self.peer.map(range, true)? {
                 view.add(range, map);
             }
@@ -108,7 +108,7 @@ impl PeerPublisher {
 
     fn segments(&self) -> Result<(SegmentViews, u32), TransportError> {
         let mut state = self.state();
-        // Before the look: what changes meanwhile changes it again.
+        // Read before the segments: a change after this changes the count again.
         let grown = state.view.head().grown.load(Ordering::Acquire);
         if state.grown == Some(grown) {
             return Ok((state.segments.clone(), grown));
@@ -144,20 +144,20 @@ impl PeerPublisher {
 
     fn map_segment(&self, range: Range) -> Result<Option<Arc<Mapping>>, TransportError> {
         let Some(map) = self.peer.map(range, false)? else { return Ok(None) };
-        // So that taking faults no page. If it fails, as of memory that is claimed on use, it does.
+        // So that a take has no page fault. If this fails, as for memory that is claimed on use, a take may have one.
         let _ = map.populate(0, map.len_bytes(), false);
         Ok(Some(map))
     }
 }
 
-/// The publishers of other participants that this one's subscriptions use.
+/// The publishers of other participants that this participant's subscriptions use.
 #[derive(Default)]
 pub(crate) struct PeerPublishers {
     known: BTreeMap<Gid, Weak<PeerPublisher>>,
 }
 
 impl PeerPublishers {
-    /// The memory of the publisher `gid`, which begins where its record says. `None`: it is not there any more.
+    /// The memory of the publisher `gid`, which begins at `at`, as its record says. `None`: it does not exist any more.
     pub(crate) fn get(
         &mut self,
         peer: &Arc<Peer>,
@@ -176,7 +176,7 @@ impl PeerPublishers {
         Ok(Some(PublisherMemory::Peer(publisher)))
     }
 
-    /// Those of a participant that have other segments than were mapped.
+    /// The publishers of a participant whose segments have changed since they were mapped.
     pub(crate) fn grown(&self, participant: u64) -> Vec<Gid> {
         let of_it = self.known.range(Gid::of(participant, 0)..);
         let of_it = of_it.take_while(|(gid, _)| gid.participant() == participant);
@@ -188,7 +188,7 @@ impl PeerPublishers {
         grown.map(|(gid, _)| *gid).collect()
     }
 
-    /// Forgets those that nobody uses.
+    /// Forgets the publishers that no subscription uses.
     pub(crate) fn forget(&mut self) {
         self.known.retain(|_, publisher| publisher.strong_count() > 0);
     }

@@ -121,7 +121,7 @@ impl RawSubscription {
         let mut budget = PollBudget::new();
         let taken = self.take(&mut budget);
         if matches!(taken, Ok(None)) {
-            self.go_on_later(&budget);
+            self.ring_if_spent(&budget);
         }
         taken
     }
@@ -161,14 +161,14 @@ impl RawSubscription {
         self.registration.participant.domain.members().any(|member| member.id == port.participant())
     }
 
-    /// If there may be more behind what was passed over: whoever waits for the doorbell comes again.
-    pub(crate) fn go_on_later(&self, budget: &PollBudget) {
+    /// If the budget is spent, rings this subscription's doorbell, because there may be more samples behind the skipped ones.
+    pub(crate) fn ring_if_spent(&self, budget: &PollBudget) {
         if budget.is_spent() {
             self.slot().ring();
         }
     }
 
-    /// Takes the oldest sample, passing over what is not for the user. `None`: there is none, or the budget is spent.
+    /// Takes the oldest sample, skipping expired ones. `None`: there is none, or the budget is spent.
     fn take(&self, budget: &mut PollBudget) -> Result<Option<RawSample>, TakeError> {
         if self.core().forgotten.load(Ordering::Relaxed) != 0 {
             self.note_lost(self.core().forgotten.swap(0, Ordering::Relaxed));
@@ -181,7 +181,7 @@ impl RawSubscription {
             }
             let Some(taken) = take_state.take(|outcome| self.note_outcome(outcome)) else {
                 if self.stop_draining() {
-                    // What was queued before its publisher could see that it must ring again.
+                    // Again, for samples that were queued before their publisher could see that it must ring.
                     continue;
                 }
                 return Ok(None);
@@ -204,12 +204,12 @@ impl RawSubscription {
         Ok(None)
     }
 
-    /// Something else than a sample was found. Whoever sets up has to do something.
+    /// Handles an outcome other than a sample, and calls the janitor.
     #[cold]
     fn note_outcome(&self, outcome: &TakeOutcome) {
         match outcome {
             TakeOutcome::Settled(lost) if *lost != 0 => self.note_lost(*lost),
-            // For what comes after it.
+            // For the samples behind the skipped one.
             TakeOutcome::Passed => self.slot().ring(),
             _ => {}
         }
@@ -223,7 +223,7 @@ impl RawSubscription {
         let port_gid = held.publisher();
         // The length is another process's claim.
         let (body_bytes, kind) = header.body();
-        let Some(body) = first(payload, body_bytes) else {
+        let Some(body) = body_within(payload, body_bytes) else {
             self.note_invalid();
             drop(held);
             let fault = DecodeFault::End { needed: body_bytes, left: payload.len() };
@@ -243,7 +243,7 @@ impl RawSubscription {
         })
     }
 
-    /// Counts lost messages, and tells who wants to know: the only case in which a take rings.
+    /// Counts lost messages, and notifies monitors of the subscription.
     fn note_lost(&self, lost: u64) {
         add(&self.counters.lost, lost);
         let slot = self.slot();
@@ -267,7 +267,7 @@ impl RawSubscription {
         let mut budget = PollBudget::new();
         let taken = self.take_valid(&mut budget);
         if matches!(taken, Ok(None)) {
-            self.go_on_later(&budget);
+            self.ring_if_spent(&budget);
         }
         taken
     }
@@ -303,7 +303,7 @@ impl RawSubscription {
         budget: &mut PollBudget,
     ) -> Poll<Option<RawSample>> {
         self.slot().waker().register(context.waker());
-        // Between the two: whoever ends the node later wakes the task, and for what comes later to one that has ended nobody may.
+        // Between the two: a node that ends later wakes the task, but samples that come after a node has ended may wake nobody.
         let has_ended = self.has_ended();
         while !budget.is_spent() {
             match self.take(budget) {
@@ -315,7 +315,7 @@ impl RawSubscription {
                 Ok(None) if has_ended => return Poll::Ready(None),
                 Ok(None) => return Poll::Pending,
                 Err(TakeError::Invalid(_)) => {}
-                // Not rung, so that it may continue to drain: the return of a borrowed sample wakes it.
+                // It may stay in the draining state, in which nobody rings: the return of a borrowed sample wakes the task.
                 Err(TakeError::TooManyHeld) => {
                     add(&self.counters.refused, 1);
                     budget.spend();
@@ -330,7 +330,7 @@ impl RawSubscription {
         Poll::Pending
     }
 
-    /// The first of a row may be the last, too. From the second on it is a backlog, and while that lasts rings are for nothing.
+    /// Notes that a poll took a sample. The first may be the last, too; from the second on there is a backlog, in which rings are useless.
     fn note_taken(&self) {
         match self.poll_state.get() {
             PollState::Waiting => self.poll_state.set(PollState::Took),
@@ -342,7 +342,7 @@ impl RawSubscription {
         }
     }
 
-    /// Publishers ring again. Whether they did not: look into the queue once more.
+    /// Makes publishers ring again. True if they did not: then check the queue once more.
     fn stop_draining(&self) -> bool {
         let was_draining = self.poll_state.replace(PollState::Waiting) == PollState::Draining;
         if was_draining {
@@ -353,15 +353,15 @@ impl RawSubscription {
 }
 
 /// The part of a payload that holds a body of `body_bytes`. `None`: it is longer than the payload.
-fn first(payload: NonNull<[u8]>, body_bytes: usize) -> Option<NonNull<[u8]>> {
+fn body_within(payload: NonNull<[u8]>, body_bytes: usize) -> Option<NonNull<[u8]>> {
     let is_there = body_bytes <= payload.len();
     is_there.then(|| NonNull::slice_from_raw_parts(payload.cast(), padded(body_bytes).min(payload.len())))
 }
 
-/// A publisher that sends nothing but what is passed over must not keep a thread busy: so many samples are looked at in one call.
+/// The maximum number of samples that one call checks: a publisher whose samples are all skipped must not keep a thread busy.
 const POLL_BUDGET: usize = 16;
 
-/// How many samples a call still looks at.
+/// The number of samples that a call may still check.
 pub(crate) struct PollBudget(usize);
 
 impl PollBudget {
@@ -377,7 +377,7 @@ impl PollBudget {
         self.0 = 0;
     }
 
-    /// There may be more, but another time.
+    /// Whether the call must stop, although there may be more samples.
     pub(crate) fn is_spent(&self) -> bool {
         self.0 == 0
     }
@@ -401,7 +401,7 @@ impl SubscriptionCounters {
     }
 }
 
-/// Whether its publisher's lifespan is over. Without one the clock is not read.
+/// Whether the sample's lifespan is over. Without a lifespan the clock is not read.
 fn has_expired(header: &SampleHeader) -> bool {
     header.expires_ns != NEVER && monotonic_ns() >= header.expires_ns
 }

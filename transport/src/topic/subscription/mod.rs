@@ -77,7 +77,7 @@ impl SubscriptionCounters {
         self.invalid.load(Ordering::Relaxed)
     }
 
-    /// Polls of the stream that could not take because too many samples were held.
+    /// Polls of the stream, and calls of `try_take_valid`, that were refused because too many samples were held.
     pub fn refused(&self) -> u64 {
         self.refused.load(Ordering::Relaxed)
     }
@@ -228,7 +228,7 @@ impl RawSubscription {
         self.counters.clone()
     }
 
-    /// Has [`max_queue`](SubscriptionCounters::max_queue) begin anew: what was queued until now does not count.
+    /// Resets [`max_queue`](SubscriptionCounters::max_queue): what was queued until now does not count.
     pub fn forget_max_queue(&self) {
         self.counters.max_queue.store(0, Ordering::Relaxed);
     }
@@ -282,8 +282,8 @@ impl RawSubscription {
         self.slot().waker().register(waker);
     }
 
-    /// Sets whether publishers of this participant leave this subscription unrung, because whoever publishes with one of them
-    /// [looks into the queue](Self::waiting) afterwards. Publishers of other participants ring as before. Check the queue after
+    /// Sets whether publishers of this participant leave this subscription unrung, because the thread that publishes with one of them
+    /// [checks the queue](Self::waiting) afterwards. Publishers of other participants ring as before. Check the queue after
     /// each change.
     ///
     /// # Real-time
@@ -311,7 +311,7 @@ impl AsRef<RawSubscription> for RawSubscription {
     }
 }
 
-/// Tells whoever sets things up that the subscription has gone.
+/// Removes the subscription from the matcher when it is dropped.
 struct Registration {
     core: Arc<SubscriptionCore>,
     participant: Arc<ParticipantState>,

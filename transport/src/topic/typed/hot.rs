@@ -28,8 +28,8 @@ impl<T: Message> Publisher<T> {
     /// before. Loan and publish in a separate block or function, or run the future with `Node::spawn_local`.
     ///
     /// # Real-time
-    /// Like [`RawPublisher::loan`]: lock-free, O(subscriptions), and O(returned samples) if no other sample is free; no allocation;
-    /// no syscall. For a type with bool, char or enum fields, O(number of these) to check that the memory holds a valid `T`.
+    /// Like [`RawPublisher::loan`]: wait-free, O(subscriptions), and O(samples + returned samples) if the list of free samples is empty; no
+    /// allocation; no syscall. For a type with bool, char or enum fields, O(number of these) to check that the memory holds a valid `T`.
     ///
     /// # Errors
     /// [`LoanError::Exhausted`]: `Limits::loans` loans are already in use.
@@ -43,8 +43,8 @@ impl<T: Message> Publisher<T> {
     /// Loans a sample for a message of these lengths, to be [written](Unwritten::write) in place.
     ///
     /// # Real-time
-    /// Like [`RawPublisher::loan`]: lock-free, O(subscriptions), and O(returned samples) if no other sample is free; no allocation;
-    /// no syscall; linear in the number of fields and of elements with their own sizes. A message that is longer than
+    /// Like [`RawPublisher::loan`]: wait-free, O(subscriptions), and O(samples + returned samples) if the list of free samples is empty; no
+    /// allocation; no syscall; linear in the number of fields and of elements with their own sizes. A message that is longer than
     /// `Limits::message_bytes` and than all messages before needs a larger segment: allocates, maps memory.
     ///
     /// # Errors
@@ -223,7 +223,7 @@ impl<'p, T: Message> Loan<'p, T> {
     /// loan comes back.
     ///
     /// # Real-time
-    /// As [`RawLoan::publish`]: lock-free, O(subscriptions); no allocation; at most one futex wake per sampler that sleeps, and per
+    /// As [`RawLoan::publish`]: wait-free, O(subscriptions); no allocation; at most one futex wake per sampler that sleeps, and per
     /// callback thread that sleeps and is woken directly; no other syscall.
     /// When subscriptions have appeared or disappeared since the last call: in addition O(subscriptions x samples / 64). For a
     /// plain type with padding between its fields, O(number of these) to zero it.
@@ -231,8 +231,8 @@ impl<'p, T: Message> Loan<'p, T> {
     /// # Errors
     /// [`SendError`], with the loan: nothing was sent.
     pub fn publish(self) -> Result<(), SendError<Loan<'p, T>>> {
-        let published = self.ready().publish();
-        published.map_err(|unpublished| unpublished.map(Loan::back))
+        let published = self.into_raw().publish();
+        published.map_err(|unpublished| unpublished.map(Loan::from_raw))
     }
 
     /// Publishes with a release time set by the caller, in `CLOCK_MONOTONIC` nanoseconds. Response times are
@@ -241,8 +241,8 @@ impl<'p, T: Message> Loan<'p, T> {
     /// # Real-time and errors
     /// As [`publish`](Self::publish).
     pub fn publish_released_at(self, released_ns: u64) -> Result<(), SendError<Loan<'p, T>>> {
-        let published = self.ready().publish_released_at(released_ns);
-        published.map_err(|unpublished| unpublished.map(Loan::back))
+        let published = self.into_raw().publish_released_at(released_ns);
+        published.map_err(|unpublished| unpublished.map(Loan::from_raw))
     }
 
     /// Publishes as soon as every keep-all subscription has room. Only one loan of a publisher may wait at a time: a second
@@ -254,11 +254,11 @@ impl<'p, T: Message> Loan<'p, T> {
     /// # Errors
     /// As [`RawLoan::publish_when_ready`].
     pub async fn publish_when_ready(self) -> Result<(), PublishError> {
-        self.ready().publish_when_ready().await
+        self.into_raw().publish_when_ready().await
     }
 
-    /// The message as bytes that may be sent: what a plain value's padding held before stays here.
-    pub(crate) fn ready(mut self) -> RawLoan<'p> {
+    /// The message as bytes to send. A plain value's padding is zeroed, so that its former content is not sent.
+    pub(crate) fn into_raw(mut self) -> RawLoan<'p> {
         let body_bytes = self.raw.len();
         let memory = self.raw.payload_mut();
         T::clear_gaps(memory);
@@ -266,8 +266,8 @@ impl<'p, T: Message> Loan<'p, T> {
         self.raw
     }
 
-    /// What became bytes, again.
-    pub(crate) fn back(raw: RawLoan<'p>) -> Self {
+    /// Converts the bytes of a message that was not sent back into a loan.
+    pub(crate) fn from_raw(raw: RawLoan<'p>) -> Self {
         Loan { raw, _message: PhantomData }
     }
 }
@@ -350,8 +350,8 @@ impl<T: Decode> AsRef<RawSample> for Sample<T> {
     }
 }
 
-/// The type's own derive made it a message, or generated code did: what somebody else's [`Message::view`] accepts need not
-/// be a `T`.
+/// Requires that the type's own derive, or generated code, made it a message: bytes that another [`Message::view`] accepts need not be a
+/// `T`.
 ///
 /// ```compile_fail,E0080
 /// # use tautline_msgs::{Body, Definition, Message, cdr::DecodeError};
@@ -393,7 +393,7 @@ impl<T: Message + Plain> Deref for Sample<T> {
     }
 }
 
-/// The message's, through its view.
+/// Formats the message through its view.
 impl<T: Decode> fmt::Debug for Sample<T>
 where
     for<'a> T::View<'a>: fmt::Debug,
@@ -440,7 +440,7 @@ impl<T: Decode> Subscription<T> {
     }
 }
 
-/// As [`Subscription::try_take_valid`]; tells of what is invalid.
+/// As [`Subscription::try_take_valid`]; calls `invalid` for each invalid sample.
 pub(crate) fn take_valid<T: Decode>(
     raw: &RawSubscription,
     definition: &T::Definition,
@@ -454,11 +454,11 @@ pub(crate) fn take_valid<T: Decode>(
             Err(_) => invalid(info),
         }
     }
-    raw.go_on_later(&budget);
+    raw.ring_if_spent(&budget);
     Ok(None)
 }
 
-/// As [`Subscription::poll_take`]; tells of what is invalid.
+/// As [`Subscription::poll_take`]; calls `invalid` for each invalid sample.
 pub(crate) fn poll_take<T: Decode>(
     raw: &RawSubscription,
     definition: &T::Definition,

@@ -38,7 +38,7 @@ impl Gate {
 }
 
 impl<T: Codec> Publisher<T> {
-    /// Of a publisher of bytes that are those of `T`.
+    /// Wraps a publisher of bytes that are messages of type `T`.
     pub(crate) fn new(raw: RawPublisher, definition: T::Definition) -> Self {
         Publisher { raw, definition }
     }
@@ -53,7 +53,7 @@ impl<T: Codec> Publisher<T> {
         self.raw.topic()
     }
 
-    /// The requested quality of service.
+    /// The offered quality of service.
     pub fn qos(&self) -> Qos {
         self.raw.qos()
     }
@@ -118,7 +118,7 @@ pub struct Subscription<T: Decode> {
 }
 
 impl<T: Decode> Subscription<T> {
-    /// Of a subscription to bytes that are those of `T`.
+    /// Wraps a subscription to bytes that are messages of type `T`.
     pub(crate) fn new(raw: RawSubscription, definition: T::Definition) -> Self {
         Subscription { raw, definition }
     }
@@ -254,7 +254,7 @@ pub trait Decode: Sized + 'static {
     /// What is copied out of a sample.
     type Owned;
 
-    /// Checks a body as far as it is checked when it is taken, and gives what reads it in place.
+    /// Checks a body as far as a take checks it, and returns the view that reads it in place.
     ///
     /// # Errors
     /// [`DecodeError`]: it is no message.
@@ -280,7 +280,7 @@ pub trait Codec: Decode {
     /// Why the CDR of a message was not published.
     type CdrError;
 
-    /// Writes the message into what `loan` gives for its length in bytes.
+    /// Writes the message into the memory that `loan` returns for its length in bytes.
     ///
     /// # Errors
     /// Those of `loan`; what `invalid` makes of [`Invalid`](Self::Invalid).
@@ -339,7 +339,7 @@ impl<T: Message> Codec for T {
         if endian == Endian::Big {
             return Ok(publisher.publish(&T::decode(body, endian)?)?);
         }
-        // Others may pad what has a fixed size.
+        // Other middleware may pad messages of a fixed size.
         let padding = T::FIXED_LEN.map_or(0, |len| body.len().saturating_sub(len));
         if padding > MAX_PADDING {
             return Err(whole::<T>(DecodeFault::Trailing { len: padding, most: MAX_PADDING }).into());
@@ -353,7 +353,7 @@ impl<T: Message> Codec for T {
     }
 }
 
-/// What other middleware appends at most to a message of a fixed size.
+/// The maximum number of bytes that other middleware appends to a message of a fixed size.
 const MAX_PADDING: usize = 8;
 
 fn whole<T: Message>(fault: DecodeFault) -> DecodeError {

@@ -26,15 +26,15 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use tautline_doorbell::Slot;
 use tautline_rt::{LatestWriter, PiGuard, PiMutex, affinity_of, latest};
 
-/// Samples that a publisher whose memory is claimed on use claims at once, at least.
+/// The minimum number of samples that a publisher whose memory is claimed on use claims at once.
 const FIRST_SAMPLES: usize = 4;
-/// A publisher of responses has memory for so many from the start: each of its clients gets others.
+/// The number of responses for which a publisher has memory from the start: each of its clients gets other samples.
 const FIRST_RESPONSES: usize = 16;
-/// Below this many bytes a publisher that needs more samples gets twice as many, so that it seldom needs more. As much is claimed ahead
-/// for relayed messages.
+/// While its samples take less than this many bytes, a publisher that needs more of them gets twice as many, so that it seldom needs more.
+/// As much is claimed ahead for relayed messages.
 const DOUBLED_BYTES: usize = 1 << 20;
 
-/// Whether this process and those that take its samples are bound to the same core.
+/// Whether this process and the processes of all subscriptions are bound to the same core.
 fn is_on_one_core(proxies: &Chunks<ReaderProxy>) -> bool {
     let core_of = |process| affinity_of(process).ok().filter(|cores| cores.len() == 1);
     let Some(own) = core_of(std::process::id()) else { return false };
@@ -45,13 +45,13 @@ fn is_on_one_core(proxies: &Chunks<ReaderProxy>) -> bool {
 /// What a publisher is made for, besides its topic.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct PublisherRole {
-    /// It passes on what others published.
+    /// It is a relay's: it passes on the messages of other publishers.
     pub(crate) is_relay: bool,
     /// Each sample goes to one subscription: responses.
     pub(crate) is_addressed: bool,
-    /// Of a server's responses: the port of its requests.
+    /// For a server's responses: the number of the port of its requests.
     pub(crate) partner: Option<u64>,
-    /// The number of the port, if that was known before.
+    /// The number of the port, if it was allocated before.
     pub(crate) number: Option<u64>,
 }
 
@@ -63,7 +63,7 @@ pub(crate) struct PublisherCore {
     pub(crate) is_relay: bool,
     /// Each sample goes to one subscription: responses.
     pub(crate) is_addressed: bool,
-    /// For a server's responses: the port of its requests.
+    /// For a server's responses: the number of the port of its requests.
     partner: Option<u64>,
     pub(crate) slot: Arc<Slot>,
     pub(crate) history: Option<History>,
@@ -72,7 +72,7 @@ pub(crate) struct PublisherCore {
     pub(crate) traffic: Traffic,
     /// Subscriptions on this host that match.
     pub(crate) matched: Arc<AtomicUsize>,
-    /// It inherits priority: the janitor holds it while it maps memory, and a publishing thread may be a real-time one.
+    /// The lock inherits priority: the janitor holds it while it maps memory, and a publishing thread may be a real-time one.
     setup: PiMutex<Setup>,
 }
 
@@ -94,7 +94,7 @@ struct Setup {
     /// Senders that are not yet in a table that was handed over.
     unserved: Vec<Arc<ReaderChannel>>,
     retired: usize,
-    /// Minimum length of their lists of samples in use, now or soon, in words.
+    /// The minimum length of the senders' lists of samples in use, now or after they took their spare lists, in words.
     words: usize,
     demand: Demand,
     endpoints: Endpoints,
@@ -177,7 +177,7 @@ impl PublisherCore {
         self.setup.lock()
     }
 
-    /// What others read of it.
+    /// The publisher's entry in the record.
     pub(crate) fn record(&self, node: Option<u64>) -> PortRecord {
         let setup = self.setup();
         PortRecord {
@@ -213,7 +213,7 @@ impl PublisherCore {
         }
         let slot = target.port.slot as usize;
         if !target.owner.reach(slot)? {
-            // Its memory has gone: so will it.
+            // The memory of the subscription's participant has gone, and the subscription goes with it.
             return Ok(false);
         }
         let shape = target.port.shape(self.limits.loans);
@@ -247,7 +247,7 @@ impl PublisherCore {
         setup.endpoints.set(endpoint);
         setup.is_stale = true;
         if history.is_some() {
-            // Before the next one is served: there is memory for one.
+            // Before the next late joiner is connected: there is memory for one at a time.
             self.hand_over(&mut setup);
             self.top_up(&mut setup);
         }
@@ -269,14 +269,14 @@ impl PublisherCore {
     fn join(&self, demand: &mut Demand, Shape { depth, held, is_observer, .. }: Shape) {
         match self.is_addressed {
             true if is_observer => demand.observed = demand.observed.max(depth),
-            // Each queue has other samples.
+            // Each queue holds different samples.
             true => demand.depth = demand.depth.saturating_add(depth),
             false => demand.join(depth, 0),
         }
         demand.join(0, held);
     }
 
-    /// Makes room for what subscriptions will ask for that are about to be connected, at once.
+    /// Claims at once the memory for all subscriptions that are about to be connected.
     ///
     /// # Errors
     /// There is no shared memory for it.
@@ -289,7 +289,7 @@ impl PublisherCore {
         self.grow(&mut setup, ports.filter(fits).map(|port| port.shape(self.limits.loans)))
     }
 
-    /// How many samples are to be there before they are needed.
+    /// The number of samples that are claimed before they are needed.
     fn ahead(&self, demand: Demand, sample_bytes: usize) -> usize {
         let all = demand.samples(self.limits.loans);
         match self.limits.claim {
@@ -297,13 +297,13 @@ impl PublisherCore {
             Claim::Ahead if self.is_addressed => {
                 all.min(self.limits.loans + FIRST_RESPONSES + demand.observed)
             }
-            // Nobody has stated how long they are.
+            // The length of relayed messages is not stated.
             Claim::Ahead if self.is_relay => all.min(DOUBLED_BYTES / sample_bytes),
             Claim::Ahead => all + Window::of_machine().spare(demand, sample_bytes, all, &self.limits),
         }
     }
 
-    /// Makes samples until there are as many as are to be there, for the subscriptions that are connected and for `more`.
+    /// Adds samples up to the number that is claimed ahead, for the subscriptions that are connected and for `more`.
     fn grow(&self, setup: &mut Setup, more: impl IntoIterator<Item = Shape>) -> Result<(), TransportError> {
         let mut demand = setup.demand;
         more.into_iter().for_each(|shape| self.join(&mut demand, shape));
@@ -336,7 +336,7 @@ impl PublisherCore {
             setup.memory.release(range);
             refuse(source)
         })?;
-        // What is mapped in whole pages is used.
+        // The rest of the last page is used for samples, too.
         let samples = (map.len_bytes() / sample_bytes).clamp(samples, MAX_SAMPLES);
         let segment = Arc::new(Segment::new(id, range, map, sample_bytes, samples, setup.pool.end()));
         setup.pool.add(segment.clone());
@@ -349,8 +349,8 @@ impl PublisherCore {
         Ok(())
     }
 
-    /// One more sample is needed, of a publisher whose memory is claimed on use, or of responses, or relayed. Large ones are claimed
-    /// one by one at first, and never a quarter more than needed.
+    /// Claims at least one more sample, for a publisher whose memory is claimed on use, or which sends responses or relays. Large samples
+    /// are claimed one by one at first, and never more than a quarter of those that exist.
     pub(crate) fn claim_more(&self) -> io::Result<()> {
         let mut setup = self.setup();
         let there = setup.pool.samples(setup.sample_bytes);
@@ -369,7 +369,7 @@ impl PublisherCore {
         Ok(())
     }
 
-    /// A message of `len_bytes` is longer than all before: from now on samples are as long as it needs, or twice that at most.
+    /// Makes samples as long as a message of `len_bytes`, longer than all before, needs, or twice that at most. Returns their length.
     pub(crate) fn lengthen(&self, len_bytes: usize) -> io::Result<usize> {
         let mut setup = self.setup();
         let (before, wanted) = (setup.sample_bytes, grown_sample_bytes(len_bytes));
@@ -386,7 +386,7 @@ impl PublisherCore {
         Ok(wanted)
     }
 
-    /// Segments of shorter samples, of which none is used.
+    /// Releases the segments of shorter samples of which none is in use.
     fn forget_short_segments(&self, setup: &mut Setup) {
         let is_short =
             |segment: &&Arc<Segment>| segment.sample_bytes() < setup.sample_bytes && segment.is_unused();
@@ -403,7 +403,7 @@ impl PublisherCore {
         }
     }
 
-    /// Memory of a subscription's queue for `samples`, if that is claimed as it is used.
+    /// Claims the memory of a subscription's queues for `samples` samples, if it is claimed on use.
     pub(crate) fn claim_queues(&self, subscription: Gid, samples: usize) -> io::Result<()> {
         let mut setup = self.setup();
         let Setup { control: Some(control), proxies, .. } = &mut *setup else { return Ok(()) };
@@ -413,7 +413,7 @@ impl PublisherCore {
         }
     }
 
-    /// The subscription has gone, perhaps with its process. True if it has attached, and lives on in samples that are out: see
+    /// Disconnects a subscription that has gone, perhaps with its process. True if it had attached and may still hold samples: see
     /// [`disconnect_closed`](Self::disconnect_closed). Call [`settle`](Self::settle) afterwards.
     pub(crate) fn disconnect(&self, subscription: Gid, is_dead: bool) -> bool {
         let mut setup = self.setup();
@@ -423,7 +423,7 @@ impl PublisherCore {
         if !is_dead && sender.block().back.state() == ReaderState::Attached {
             if !sender.is_leaving() {
                 sender.leave();
-                // What is in its queue stays there while the others go on.
+                // The samples in its queue stay there while the other subscriptions go on.
                 demand.join(0, place.shape.depth);
                 if let Err(error) = self.grow(&mut setup, None) {
                     tracing::warn!(
@@ -438,8 +438,8 @@ impl PublisherCore {
         false
     }
 
-    /// Subscriptions that have gone and closed their connections by now, or whose participants are no longer there, are retired. True if
-    /// there are others.
+    /// Retires the subscriptions that have gone and have closed their connections by now, or whose participants no longer exist. True if
+    /// others have not.
     pub(crate) fn disconnect_closed(&self, is_there: impl Fn(u64) -> bool) -> bool {
         let mut setup = self.setup();
         let Setup { proxies, pool, is_stale, retired, .. } = &mut *setup;
@@ -456,22 +456,22 @@ impl PublisherCore {
         is_held_up
     }
 
-    /// Whether it has made segments since this was last asked.
+    /// Whether the publisher has added segments since the last call.
     pub(crate) fn take_grown(&self) -> bool {
         std::mem::take(&mut self.setup().has_grown)
     }
 
-    /// Those who have its subscriptions.
+    /// The participants of its subscriptions.
     pub(crate) fn participants(&self) -> BTreeSet<u64> {
         self.setup().proxies.iter().map(|proxy| proxy.sender.subscription.participant()).collect()
     }
 
-    /// The endpoints on other hosts, with their tags, and the tags of those that have ended by themselves.
+    /// Sets the endpoints on other hosts, with their tags, and the tags of those that have ended by themselves.
     pub(crate) fn set_remote(&self, told: &[(Gid, u64)], ended: &HashSet<u64>) {
         self.setup().endpoints.set_remote(told, ended);
     }
 
-    /// Hands over what has changed, and tells monitors.
+    /// Hands over what has changed, and notifies monitors.
     pub(crate) fn settle(&self) {
         let mut setup = self.setup();
         self.forget_drained(&mut setup);
@@ -482,24 +482,24 @@ impl PublisherCore {
         }
         if setup.endpoints.notify(&self.matched) {
             self.slot.doorbell().arena().ring_events(self.slot.index());
-            // It may wait for room in a queue that has gone.
+            // The publisher's task may wait for room in a queue that has gone.
             self.slot.ring();
         }
     }
 
-    /// What was published while a late joiner was set up, by a thread that had not seen it yet: it gets that, too. The publishing thread
-    /// looks for a new table after it has published, and this looks for what was published after the table was handed over: one of
-    /// them sees it.
+    /// Gives late joiners what was published while they were set up, by a thread that had not seen them yet. The publishing thread checks
+    /// for a new table after it has published, and this function checks for new samples after the table was handed over: one of the two
+    /// sees what the other did.
     fn top_up(&self, setup: &mut Setup) {
         let Some(history) = &self.history else { return };
         std::sync::atomic::fence(Ordering::SeqCst);
-        // A publisher that publishes so fast takes over what it is handed.
+        // Bounded: a publisher that publishes this often takes over the tables that it is handed.
         for _ in 0..64 {
             let published = self.published.load(Ordering::Acquire);
             let mut has_more = false;
             for ReaderProxy { sender, .. } in setup.proxies.iter().filter(|one| one.sender.lacks(published)) {
                 let Some(is_new) = sender.preload(history, published, &setup.pool) else { continue };
-                // Held for a moment: the publishing thread may have passed it over, also if nothing was left to give it.
+                // The sender was held for a moment: the publishing thread may have skipped it, even if no sample was left for it.
                 has_more = true;
                 if is_new {
                     sender.ring();
@@ -508,7 +508,7 @@ impl PublisherCore {
             if !has_more {
                 return;
             }
-            // What the publishing thread passed over while it was held.
+            // Again, for senders that the publishing thread skipped while they were held.
             self.hand_over(setup);
             std::sync::atomic::fence(Ordering::SeqCst);
         }
@@ -547,7 +547,7 @@ impl PublisherCore {
             setup.words = words;
             let short = setup.proxies.iter().filter(|proxy| proxy.sender.room() < words * 64);
             for gid in short.map(Keyed::key).collect::<Vec<_>>() {
-                // One that nobody has published to yet gets its longer list at once.
+                // A sender that the publishing thread has not adopted yet gets its longer list at once.
                 if let Some(proxy) = setup.proxies.get_mut(gid).filter(|one| !one.sender.enlarge(words)) {
                     proxy.spare = Some(Arc::new(SpareList::new(words)));
                 }
@@ -564,12 +564,12 @@ impl PublisherCore {
         setup.unserved.drain(..).for_each(|sender| sender.block().out.serve());
     }
 
-    /// What a subscription of the same process maps.
+    /// The memory that a subscription of the same process maps.
     pub(crate) fn view(&self) -> Option<View> {
         self.setup().control.as_ref().map(View::of_own)
     }
 
-    /// What a subscription of the same process reads samples from, and how often that has changed. The same as before if it has not.
+    /// The segments that a subscription of the same process reads, and their change count. The same views as before if nothing has changed.
     pub(crate) fn segment_views(&self) -> (SegmentViews, u32) {
         let mut setup = self.setup();
         let grown = setup.control.as_ref().map_or(0, |control| control.head().grown.load(Ordering::Acquire));
@@ -589,7 +589,7 @@ impl PublisherCore {
         self.setup().endpoints.monitor()
     }
 
-    /// The publisher has ended: nobody publishes any more. What was sent stays until it was taken.
+    /// Marks the publisher as ended: no thread publishes any more. Samples that were sent stay until they are taken.
     pub(crate) fn end(&self) {
         let mut setup = self.setup();
         if let Some(history) = &self.history {
@@ -602,7 +602,7 @@ impl PublisherCore {
     }
 
     /// Gives the memory back, if the publisher has ended and no subscription uses it: `is_there` says which participants are alive,
-    /// `is_listed` which subscriptions. False if that is still to be.
+    /// `is_listed` which subscriptions exist. Returns false if a subscription still uses it.
     pub(crate) fn release(&self, is_there: impl Fn(u64) -> bool, is_listed: impl Fn(Gid) -> bool) -> bool {
         let mut setup = self.setup();
         let Setup { proxies, pool, retired, .. } = &mut *setup;
@@ -627,7 +627,7 @@ impl PublisherCore {
         true
     }
 
-    /// Whether a subscription that is there has not found its connection, or where samples lie, yet.
+    /// Whether an existing subscription has not found its connection, or all segments, yet.
     pub(crate) fn is_awaited(&self, is_listed: impl Fn(Gid) -> bool) -> bool {
         let setup = self.setup();
         let Some(control) = &setup.control else { return false };

@@ -13,21 +13,21 @@
 use crate::memory::pool::Pool;
 use crate::sync::{AtomicU64, Ordering};
 
-/// What is said of a place where nothing is kept.
+/// The value of a place where no sample is kept.
 const NONE: u64 = u64::MAX;
 
 /// The samples that positions refer to.
 pub(crate) trait Samples {
-    /// One more reference to a sample, if it has any.
+    /// Adds a reference to a sample, if it has any.
     fn pin(&self, chunk: u64) -> bool;
 
-    /// The number that a sample's header says.
+    /// The sequence number in a sample's header.
     ///
     /// # Safety
     /// The sample is pinned and was kept after that: nobody writes its header.
     unsafe fn number(&self, chunk: u64) -> Option<u64>;
 
-    /// One reference less.
+    /// Releases one reference.
     fn release(&self, chunk: u64);
 }
 
@@ -68,7 +68,7 @@ impl History {
         (published + 1).saturating_sub(self.kept.len() as u64).max(1)
     }
 
-    /// Keeps a sample, which has a reference for it; returns the one whose place it takes. For the thread that publishes.
+    /// Keeps a sample, which has a reference for this; returns the one that it replaces. For the thread that publishes.
     ///
     /// # Real-time
     /// Wait-free; no syscall.
@@ -78,12 +78,12 @@ impl History {
         (before != NONE).then_some(before)
     }
 
-    /// Where the sample with this number lies, which is kept. For the thread that publishes.
+    /// The offset of the kept sample with this number. For the thread that publishes.
     pub(crate) fn kept(&self, number: u64) -> Option<u64> {
         self.place(number).map(|place| place.load(Ordering::Relaxed)).filter(|chunk| *chunk != NONE)
     }
 
-    /// Gives `each` the newest `depth` samples that are kept, those after number `after`, in their order, and one reference to each.
+    /// Calls `each` with the newest `depth` kept samples after number `after`, in their order, and gives it one reference to each.
     ///
     /// # Real-time
     /// O(depth), whatever the publisher does.
@@ -102,7 +102,7 @@ impl History {
             if chunk == NONE || !samples.pin(chunk) {
                 continue;
             }
-            // Still kept, so written, and not to be written again before the last reference goes, of which one is ours.
+            // Still kept, so it is written, and is not written again before its last reference is released; this function has one.
             // SAFETY: pinned before, and kept now.
             let is_it =
                 place.load(Ordering::Acquire) == chunk && unsafe { samples.number(chunk) } == Some(number);
@@ -114,7 +114,7 @@ impl History {
         }
     }
 
-    /// Gives back what is kept, when nobody publishes any more.
+    /// Releases the kept samples, when no thread publishes any more.
     pub(crate) fn release(&self, samples: &impl Samples) {
         for place in &self.kept {
             let chunk = place.swap(NONE, Ordering::AcqRel);

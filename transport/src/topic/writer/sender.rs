@@ -35,7 +35,7 @@ pub(crate) struct ReaderChannel {
     /// It is an observer: it also gets samples that are sent to one subscription only, and the publisher
     /// never waits for it.
     pub(crate) is_observer: bool,
-    /// Of a client's responses: the port of its requests.
+    /// For a client's responses: the number of the port of its requests.
     pub(crate) partner: Option<u64>,
     owner: ArenaOwner,
     slot: usize,
@@ -45,7 +45,7 @@ pub(crate) struct ReaderChannel {
     turn: HandOver,
     /// The subscription has ended, and some of its samples are still in use.
     leaving: AtomicBool,
-    /// The number up to which it was preloaded; everything, if it gets no sample that was published before.
+    /// The number of the last sample that was preloaded; `u64::MAX` if it gets no sample that was published before.
     loaded: AtomicU64,
     /// The capacity of the list of samples in use.
     room: AtomicUsize,
@@ -61,9 +61,9 @@ struct SendHalf {
     wants_history: bool,
     /// The number of samples submitted so far.
     submitted: u64,
-    /// How many loans there were since it was last looked at what has come back.
+    /// The number of loans since its returned samples were last taken back.
     unlooked: usize,
-    /// The number of the last sample that it had taken when that was last looked at.
+    /// The number of the last sample that the subscription had taken when that was last read.
     taken: u64,
     /// The number of samples for which the queues' memory is claimed, if it is claimed on use.
     claimed: usize,
@@ -103,7 +103,7 @@ pub(crate) struct ReaderTable {
     pub(crate) claims_on_use: bool,
 }
 
-/// A longer list of the samples that are out, for the thread that publishes, which leaves the one that it had there.
+/// A longer list of samples in use for the thread that publishes, which leaves its former list there.
 pub(crate) struct SpareList {
     list: UnsafeCell<Box<[u64]>>,
 }
@@ -118,14 +118,14 @@ impl SpareList {
     }
 }
 
-/// Memory of queues is claimed for so many samples more at once, and then up to the end of a page.
+/// The memory of queues is claimed for this many more samples at once, and then up to the end of a page.
 const CLAIMED_AT_ONCE: usize = 512;
 
-/// Samples of up to this size take no cache from each other if some more of them are out; of longer ones those that were returned are looked
-/// for with each loan.
+/// Samples of up to this size do not displace each other from the caches if some more of them are in use; longer ones are taken back with
+/// each loan.
 const SMALL_BYTES: usize = 1 << 10;
 
-/// How many words a list of so many samples has.
+/// The number of words in a list of this many samples.
 pub(crate) fn words_for(samples: usize) -> usize {
     samples.div_ceil(64)
 }
@@ -148,7 +148,7 @@ impl ReaderChannel {
             last: 0,
             wants_history: false,
             submitted: 0,
-            // Not all at the same loan.
+            // Staggered, so that not all subscriptions are looked at with the same loan.
             unlooked: subscription.number() as usize % UNLOOKED,
             taken: 0,
             claimed: 0,
@@ -202,7 +202,7 @@ impl ReaderChannel {
         self.owner.arena().flags(self.slot)
     }
 
-    /// Whether the thread that publishes uses it, and samples go to it.
+    /// Whether its sending half belongs to the publishing thread; also true for a leaving subscription, to which no samples go.
     pub(crate) fn is_live(&self) -> bool {
         self.turn.is_live()
     }
@@ -216,7 +216,7 @@ impl ReaderChannel {
         self.turn.is_retired()
     }
 
-    /// Setup: the subscription has gone, and samples of it are out.
+    /// Setup: marks that the subscription has gone, and that some of its samples are still in use.
     pub(crate) fn leave(&self) {
         self.leaving.store(true, Ordering::Release);
     }
@@ -225,8 +225,8 @@ impl ReaderChannel {
         self.leaving.load(Ordering::Relaxed) && !self.is_retired()
     }
 
-    /// Setup: the subscription has gone. Its samples come back at once if no thread has published since it came, else when one next
-    /// does. False if it was retired before.
+    /// Setup: retires a subscription that has gone. Its samples are released at once if the publishing thread has not adopted it, otherwise
+    /// when that thread next publishes. Returns false if it was retired before.
     pub(crate) fn retire(&self, pool: &Pool) -> bool {
         let retired = self.turn.retire();
         if retired.is_setups {
@@ -246,10 +246,10 @@ impl ReaderChannel {
         retired.is_first
     }
 
-    /// Gives back every sample that is out.
+    /// Releases every sample in use.
     ///
     /// # Safety
-    /// For who has the sending half.
+    /// The caller owns the sending half.
     unsafe fn drain(&self, pool: &Pool) {
         // SAFETY: as the caller promises.
         let half = unsafe { &mut *self.half.get() };
@@ -262,10 +262,10 @@ impl ReaderChannel {
         }
     }
 
-    /// The number of the next sample, where each subscription counts what is sent to it.
+    /// The number of the next sample, where each subscription has its own numbers.
     ///
     /// # Safety
-    /// For who has the sending half.
+    /// The caller owns the sending half.
     pub(crate) unsafe fn next_own(&self) -> u64 {
         // SAFETY: as the caller promises.
         unsafe { (*self.half.get()).last + 1 }
@@ -277,7 +277,7 @@ impl ReaderChannel {
     /// Wait-free; no allocation; no syscall.
     ///
     /// # Safety
-    /// For who has the sending half. The sample has a reference for this.
+    /// The caller owns the sending half. The sample has a reference for this.
     pub(crate) unsafe fn submit(&self, number: u64, chunk: u64, pool: &Pool) {
         // SAFETY: as the caller promises.
         let half = unsafe { &mut *self.half.get() };
@@ -306,11 +306,11 @@ impl ReaderChannel {
     /// Wait-free, O(min(most, depth + held + loans)); no allocation; no syscall.
     ///
     /// # Safety
-    /// For who has the sending half.
+    /// The caller owns the sending half.
     unsafe fn reclaim(&self, most: usize, pool: &Pool) {
         // SAFETY: as the caller promises.
         let half = unsafe { &mut *self.half.get() };
-        // As many as there can be: more would be another process's lie.
+        // At most as many as there can be: more would be another process's false claim.
         for _ in 0..most.min(half.out.len() * 64 + 1) {
             // SAFETY: the sending half.
             let Some(chunk) = (unsafe { self.connection.take_back() }) else { return };
@@ -318,22 +318,22 @@ impl ReaderChannel {
         }
     }
 
-    /// Whether its queue has room for one more sample. If it has none and the subscription `is_asked`, that rings when it has.
+    /// Whether its queue has room for one more sample. If it has none and the subscription `is_asked`, the subscription rings when it has.
     ///
     /// # Real-time
     /// Wait-free; no syscall.
     ///
     /// # Safety
-    /// For who has the sending half.
+    /// The caller owns the sending half.
     pub(crate) unsafe fn has_room(&self, is_asked: bool) -> bool {
         // SAFETY: as the caller promises.
         let half = unsafe { &mut *self.half.get() };
         let (Out { start, sent, .. }, back) = (&self.block().out, &self.block().back);
         let sent = sent.load(Ordering::Relaxed);
-        // A queue that nothing was put into yet has taken nothing either.
+        // Until the first take `taken` is 0: then the samples before the first one of this queue do not count.
         let before = start.load(Ordering::Relaxed).saturating_sub(1);
         let is_full = |taken: u64| sent != 0 && sent.saturating_sub(taken.max(before)) >= self.depth;
-        // What it has taken since is looked at only then: each look disturbs it.
+        // `taken` is read again only if the queue seems full: each read disturbs the subscription.
         if !is_full(half.taken) {
             return true;
         }
@@ -345,7 +345,7 @@ impl ReaderChannel {
         !is_full_now() || is_asked && !back.room.request(is_full_now)
     }
 
-    /// Tells a subscription that has a deadline that a sample comes now.
+    /// Records the time of a sample for a subscription that has a deadline.
     ///
     /// # Real-time
     /// Wait-free; no syscall.
@@ -355,11 +355,11 @@ impl ReaderChannel {
         }
     }
 
-    /// Has `claim` claim the memory of the queues for as many samples as will have gone through after the next one, unless that was
-    /// done. False if there is none.
+    /// Has `claim` claim the memory of the queues for as many samples as will have gone through after the next one, unless that was done.
+    /// Returns false if there is no memory.
     ///
     /// # Safety
-    /// For who has the sending half.
+    /// The caller owns the sending half.
     pub(crate) unsafe fn claim(&self, claim: impl FnOnce(usize) -> bool) -> bool {
         // SAFETY: as the caller promises.
         let half = unsafe { &mut *self.half.get() };
@@ -376,8 +376,8 @@ impl ReaderChannel {
         is_claimed
     }
 
-    /// Setup: gives a new subscription what is kept for late joiners, the newest `depth`, unless it has got that. `None`: it is the
-    /// publishing thread's by now, which does the same. True if there was something.
+    /// Setup: gives a new subscription the newest `depth` samples kept for late joiners, unless it has them. `None`: it belongs to the
+    /// publishing thread by now, which does the same. True if there was a sample to give.
     pub(crate) fn preload(&self, history: &History, published: u64, pool: &Pool) -> Option<bool> {
         if !self.turn.hold() {
             return None;
@@ -390,7 +390,7 @@ impl ReaderChannel {
             unsafe { self.submit(number, chunk, pool) };
             count += 1;
         });
-        // SAFETY: as above. What could not be had was overwritten meanwhile: it is lost, or what follows comes in its place.
+        // SAFETY: as above. A sample that was not found was overwritten meanwhile: it is lost, or a newer one comes in its place.
         unsafe { (*self.half.get()).last = last.max(published) };
         // SAFETY: as above.
         unsafe { (*self.half.get()).wants_history = true };
@@ -399,7 +399,7 @@ impl ReaderChannel {
         Some(count > 0)
     }
 
-    /// Setup: makes the list of samples that are out longer. False if it is the publishing thread's.
+    /// Setup: makes the list of samples in use longer. Returns false if it belongs to the publishing thread.
     #[allow(clippy::disallowed_macros, reason = "set-up")]
     pub(crate) fn enlarge(&self, words: usize) -> bool {
         if !self.turn.hold() {
@@ -412,19 +412,19 @@ impl ReaderChannel {
         true
     }
 
-    /// Setup: whether it is new, gets what is kept for late joiners, and has not got all that.
+    /// Setup: whether it is new, gets the samples kept for late joiners, and does not have all of them.
     pub(crate) fn lacks(&self, published: u64) -> bool {
         self.turn.is_new() && self.loaded.load(Ordering::Relaxed) < published
     }
 
-    /// Rings it, after it was [preloaded](Self::preload).
+    /// Rings the subscription, after it was [preloaded](Self::preload).
     pub(crate) fn ring(&self) {
         self.owner.arena().ring(self.slot);
     }
 }
 
 impl SendHalf {
-    /// Takes a longer list in place of the one that it has, and leaves that.
+    /// Takes a longer list in place of its own, and leaves its own in `longer`.
     fn enlarge(&mut self, longer: &mut Box<[u64]>) {
         if longer.len() > self.out.len() {
             longer.iter_mut().zip(&self.out).for_each(|(new, old)| *new = *old);
@@ -440,7 +440,7 @@ fn set(out: &mut [u64], number: usize, is_out: bool) -> bool {
     before & bit != 0
 }
 
-/// A sample came back: it has one reference less, if it was out.
+/// Releases the reference to a sample that came back, if it was in use.
 fn release(out: &mut [u64], chunk: u64, pool: &Pool) {
     let Some((segment, index)) = pool.find(chunk) else { return };
     if set(out, segment.number(index), false) {
@@ -452,12 +452,12 @@ fn release(out: &mut [u64], chunk: u64, pool: &Pool) {
 #[derive(Default)]
 struct WokenSleepers {
     sampler: bool,
-    /// A bit for each.
+    /// A bit for each thread.
     threads: [u64; 4],
 }
 
 impl WokenSleepers {
-    /// True if it was not among them.
+    /// Adds a sleeper. Returns whether it is new.
     fn add(&mut self, sleeper: Sleeper) -> bool {
         match sleeper {
             Sleeper::Sampler => !core::mem::replace(&mut self.sampler, true),
@@ -467,7 +467,7 @@ impl WokenSleepers {
 }
 
 impl ReaderTable {
-    /// The subscriptions that a sample goes to: all, or one and those that look on; not those that have gone and only hold samples.
+    /// The subscriptions that a sample goes to: all, or one and the observers; not those that have gone and only hold samples.
     ///
     /// # Real-time
     /// O(subscriptions).
@@ -479,7 +479,7 @@ impl ReaderTable {
         self.live().filter(is_meant)
     }
 
-    /// Those whose sending half is the publishing thread's.
+    /// The subscriptions whose sending half belongs to the publishing thread.
     pub(crate) fn live(&self) -> impl Iterator<Item = &ReaderChannel> {
         self.proxies.iter().map(|proxy| &*proxy.sender).filter(|sender| sender.is_live())
     }
@@ -502,7 +502,7 @@ impl PublishState {
         PublishState { table, sequence_number: 0 }
     }
 
-    /// Looks whether subscriptions or segments have come or gone, and takes over what has.
+    /// Checks whether subscriptions or segments were added or removed, and takes the changes over.
     ///
     /// # Real-time
     /// Wait-free: one load. When they have: O(samples), O(subscriptions x samples / 64) and, for each late joiner, O(history); no
@@ -543,7 +543,7 @@ impl PublishState {
         }
     }
 
-    /// The number of the next sample: each subscription counts for itself what is sent to it alone.
+    /// The number of the next sample: a subscription has its own numbers for samples that go to it alone.
     pub(crate) fn next_number(&mut self, to: Option<Gid>) -> u64 {
         self.sequence_number += 1;
         match to {
@@ -561,12 +561,12 @@ impl PublishState {
     /// The table. Call [`refresh`](Self::refresh) before.
     #[inline]
     pub(crate) fn table(&self) -> &ReaderTable {
-        // One that came since is adopted by the next `refresh`.
+        // A table that was handed over since is adopted by the next `refresh`.
         self.table.current()
     }
 
-    /// Rings every subscription that got the sample, but for those that poll by themselves, as observers do, and those that are still
-    /// taking what they were rung for. All are marked before anybody is woken: whoever sleeps for several wakes once.
+    /// Rings every subscription that got the sample, except those that poll by themselves, as observers do, and those that are still taking
+    /// what they were rung for. All are marked before any is woken: a sleeper that sleeps for several of them is woken once.
     ///
     /// # Real-time
     /// Wait-free, O(subscriptions); no allocation; at most one futex wake per sampler that sleeps, and per callback thread that
@@ -590,7 +590,7 @@ impl PublishState {
             // SAFETY: as above.
             let Some(sleeper) = (unsafe { (*sender.half.get()).sleeper }) else { continue };
             let arena = sender.owner.arena();
-            // Those of an arena are next to each other; which bells they lead to, their threads say at any time.
+            // Subscriptions of one arena are next to each other. The bells that their slots lead to may change at any time.
             if last.replace(arena.id()) != Some(arena.id()) {
                 woken = WokenSleepers::default();
             }
@@ -600,8 +600,8 @@ impl PublishState {
         }
     }
 
-    /// Before a loan: takes back what those subscriptions have returned whose turn it is, twice as many samples of each at most as were loaned
-    /// since its last turn.
+    /// Before a loan: takes samples back from the subscriptions whose turn it is, from each at most twice as many as were loaned since its
+    /// last turn.
     ///
     /// # Real-time
     /// Wait-free, O(subscriptions + samples taken back); no allocation; no syscall.
@@ -634,10 +634,10 @@ impl PublishState {
 }
 
 impl ReaderChannel {
-    /// What was published between its preloading and now and is kept: it missed that.
+    /// Submits the kept samples that were published after the preload, and that the subscription has missed.
     ///
     /// # Safety
-    /// For who has the sending half.
+    /// The caller owns the sending half.
     unsafe fn catch_up(&self, history: &History, published: u64, pool: &Pool) {
         // SAFETY: as the caller promises.
         let (last, wants_history) = unsafe { ((*self.half.get()).last, (*self.half.get()).wants_history) };

@@ -10,7 +10,7 @@ use tautline_schema::{Kind, TypeHash, TypeName};
 pub struct TypeId {
     /// `std_msgs/msg/String`; for a service, the service's name.
     pub name: TypeName,
-    /// RIHS01.
+    /// The type's RIHS01 hash.
     pub hash: TypeHash,
 }
 
@@ -48,7 +48,7 @@ fn type_name(dds: &str) -> Result<TypeName, Malformed> {
     TypeName::new(package, kind, name).map_err(|_| Malformed::TypeName)
 }
 
-/// Writes `/` as `%`.
+/// Displays a name with `%` in place of `/`.
 pub(super) struct Mangled<'a>(pub(super) &'a str);
 
 impl fmt::Display for Mangled<'_> {
@@ -59,7 +59,7 @@ impl fmt::Display for Mangled<'_> {
     }
 }
 
-/// A namespace or enclave: `%` when it is empty or `/`, as in rmw_zenoh.
+/// Mangles a namespace or enclave: to `%` if it is empty or `/`, as in rmw_zenoh.
 pub(super) fn mangled_namespace(namespace: &str) -> Mangled<'_> {
     if namespace.is_empty() { Mangled("/") } else { Mangled(namespace) }
 }
@@ -84,8 +84,8 @@ pub(super) fn is_absolute(name: &str) -> bool {
     name.len() <= MAX_NAME_BYTES && name.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_token))
 }
 
-/// Letters, digits and underscores. ROS 2 forbids a leading digit, but some peers do not check it (hidden names of actions and
-/// services have none), and nothing here depends on it, so it is accepted.
+/// Whether this consists of letters, digits and underscores. ROS 2 forbids a leading digit, but some peers do not check it, and nothing
+/// here depends on it, so it is accepted.
 pub(super) fn is_token(token: &str) -> bool {
     !token.is_empty() && token.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_')
 }

@@ -19,14 +19,14 @@ impl WireDuration {
     /// ROS 2's infinity: the greatest `i64` of nanoseconds.
     pub const INFINITE: WireDuration = WireDuration { sec: 9_223_372_036, nsec: 854_775_807 };
 
-    /// `None` is infinite, and so are times beyond ROS 2's range.
+    /// Converts a duration. `None` and times beyond ROS 2's range become infinite.
     pub fn from_duration(duration: Option<Duration>) -> Self {
         let exact = |d: Duration| WireDuration { sec: d.as_secs(), nsec: d.subsec_nanos().into() };
         let longest = Duration::from_nanos(i64::MAX as u64);
         duration.filter(|&d| d < longest).map_or(Self::INFINITE, exact)
     }
 
-    /// `None` is infinite, or longer than a [`Duration`].
+    /// Converts to a duration; `None` if this is infinite, or longer than a [`Duration`].
     pub fn to_duration(self) -> Option<Duration> {
         if self == Self::INFINITE {
             return None;
@@ -48,7 +48,7 @@ impl fmt::Display for WireDuration {
     }
 }
 
-/// QoS in a token. Its `Display` is the canonical text: receivers hash their own spelling of it.
+/// QoS in a token. Its `Display` is the canonical text: receivers write it again from the parsed QoS to compute GIDs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct WireQos {
     /// Reliable or best effort.

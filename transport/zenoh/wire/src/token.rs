@@ -102,8 +102,8 @@ pub struct Token {
 }
 
 impl Token {
-    /// Parses a token's key expression. Further parts are kept for an endpoint's token, and dropped for a node's behind the note,
-    /// as in rmw_zenoh.
+    /// Parses a token's key expression. Further parts of an endpoint's token are kept; those of a node's token after the note are
+    /// dropped, as in rmw_zenoh.
     pub fn parse(key: &str) -> Result<Self, Malformed> {
         if key.len() > MAX_KEY_BYTES {
             return Err(Malformed::KeyTooLong);
@@ -151,7 +151,7 @@ impl Token {
         Ok(Token { domain, zid, node_id, node, endpoint, note: note.into() })
     }
 
-    /// The text from which peers compute its GID: as it would be written without a note.
+    /// The text from which peers compute an endpoint's GID: the token without its note.
     pub(super) fn without_note(&self) -> impl fmt::Display {
         Text { token: self, note: "" }
     }
@@ -202,7 +202,7 @@ fn suffix(key: &str, known: usize) -> Result<&str, Malformed> {
     Ok(text)
 }
 
-/// In Zenoh's form: lower case, no leading zero.
+/// Parses a session id in Zenoh's form: lower case, no leading zero.
 fn parse_zid(text: &str) -> Result<u128, Malformed> {
     let hex = |byte: u8| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte);
     if !(1..=32).contains(&text.len()) || text.starts_with('0') || !text.bytes().all(hex) {

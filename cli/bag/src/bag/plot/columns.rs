@@ -4,7 +4,7 @@
 /// A time in nanoseconds, and a value.
 pub type Point = (u64, f64);
 
-/// The difference of two greater values may not be a number.
+/// The greatest absolute value that can be drawn; the difference of two greater values may be infinite.
 const MOST: f64 = 1e300;
 
 /// Whether a value can be drawn; others are gaps.

@@ -1,19 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which field is meant, and whether it can be drawn.
+//! Parses the name of a field, and checks that it can be drawn.
 
 use std::fmt;
 use taut_cli::arguments::full_name;
 use taut_cli::verb::{Failure, Outcome};
 use tautline_schema::{Base, Definition, FieldType, Primitive, Schema, Shape};
 
-/// No more names than anybody reads.
+/// The maximum number of names that an error lists.
 const MOST_NAMES: usize = 30;
 
 /// A field of a topic's messages.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Wanted {
     pub topic: String,
-    /// As `DynamicMessage::get` takes it.
+    /// The path of the field, in the form of `DynamicMessage::get`.
     pub path: String,
 }
 
@@ -24,7 +24,7 @@ impl fmt::Display for Wanted {
 }
 
 impl Wanted {
-    /// Names of topics have no dots.
+    /// Splits at the first dot, because names of topics have no dots.
     pub fn parse(text: &str) -> Result<Self, String> {
         match text.split_once('.') {
             Some((topic, path)) if !topic.is_empty() && !path.is_empty() => {
@@ -34,10 +34,10 @@ impl Wanted {
         }
     }
 
-    /// Which number it is, or a bool, by the type of the topic.
+    /// The primitive type of the field, a number or a bool, by the type of the topic.
     ///
     /// # Errors
-    /// It is none, or there is none.
+    /// There is no such field, or it is neither a number nor a bool.
     pub fn check(&self, schema: &Schema) -> Outcome<Primitive> {
         let (mut definition, mut above) = (schema.definition(), self.topic.clone());
         let mut parts = self.path.split('.').peekable();
@@ -104,7 +104,7 @@ fn list<'n>(names: impl Iterator<Item = &'n str>) -> String {
     if more > 0 { format!("{shown} and {more} more") } else { shown }
 }
 
-/// There is no `what`; which there are, and which of them is likest to `name`.
+/// The failure that there is no `what`, with the names that exist and the one that is most similar to `name`.
 pub fn missing<'n>(what: &str, name: &str, there: impl Iterator<Item = &'n str> + Clone) -> Failure {
     let likeness = |other: &str| strsim::jaro_winkler(name, other);
     let nearest = there.clone().map(|other| (likeness(other), other));

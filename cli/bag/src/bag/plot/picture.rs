@@ -82,7 +82,7 @@ impl Frame {
 }
 
 impl Picture<'_> {
-    /// As a self-contained SVG document.
+    /// Draws a self-contained SVG document.
     ///
     /// # Errors
     /// The drawing library fails.
@@ -125,7 +125,7 @@ impl Picture<'_> {
         let ranges = self.series.iter().filter_map(|series| series.columns.range());
         let all = ranges.reduce(|one, other| (one.0.min(other.0), one.1.max(other.1)));
         let (low, high) = all.unwrap_or((0.0, 1.0));
-        // What is all but one value is no noise to be looked at.
+        // A smaller range is rounding noise, and is drawn as one value.
         let least = (low.abs().max(high.abs()) * 1e-12).max(f64::MIN_POSITIVE * 1e10);
         let room = if high - low > least { (high - low) * 0.05 } else { (low.abs() * 0.1).max(0.5) };
         (low - room, high + room)
@@ -140,7 +140,7 @@ impl Picture<'_> {
         canvas.text(&when, (right, 24), text(12, FAINT, HPos::Right, VPos::Center))
     }
 
-    /// Where each name is, in which row, and how it is written.
+    /// The x position, the row and the label of each entry.
     fn legend(&self, width: i32) -> Vec<(i32, i32, String)> {
         let (mut x, mut row, mut entries) = (MARGIN, 0, Vec::new());
         for series in &self.series {
@@ -175,7 +175,7 @@ impl Picture<'_> {
         let most = (f64::from(frame.right - frame.left) / (letters * LETTER + 34.0)).max(2.0);
         let step = round_step((last - first) / most);
         let digits = decimals(step);
-        // So many at most: of far times two ticks may be one number.
+        // Limited, because far from zero two ticks may round to the same number.
         let ticks = (0..MOST_TICKS).map(|n| ((first / step).ceil() + f64::from(n)) * step);
         for time in ticks.take_while(|time| *time <= last * (1.0 + 1e-12)) {
             let x = frame.x(self.start_ns.saturating_add((time * unit_ns).round() as u64));
@@ -194,7 +194,7 @@ impl Picture<'_> {
 struct Ticks {
     values: Vec<f64>,
     labels: Vec<String>,
-    /// What is to be added to each.
+    /// The number to add to each label.
     base: Option<String>,
 }
 
@@ -207,7 +207,7 @@ impl Ticks {
             .collect();
         let most = low.abs().max(high.abs());
         let first = values.first().copied().unwrap_or(low);
-        // Times since 1970, positions on a map: what changes is at the end of long numbers.
+        // Times since 1970 and positions on a map change only in the last digits of long numbers.
         let is_far = most / step > MOST_DIGITS;
         let (base, label): (_, Box<dyn Fn(f64) -> String>) = if is_far {
             let base = if most >= 1e15 { format!("{first:e}") } else { plain(first, decimals(step)) };
@@ -236,7 +236,7 @@ impl Ticks {
     }
 }
 
-/// With marks where there are few points.
+/// Draws a line, with marks at its points if they are sparse.
 fn draw_line(canvas: &Canvas, frame: &Frame, line: &[Point], is_step: bool, colour: RGBColor) -> Outcome {
     let mut points: Vec<_> = line.iter().map(|(at_ns, value)| (frame.x(*at_ns), frame.y(*value))).collect();
     points.dedup();
@@ -255,19 +255,19 @@ fn draw_line(canvas: &Canvas, frame: &Frame, line: &[Point], is_step: bool, colo
     Ok(())
 }
 
-/// How many a number needs that is a multiple of the step.
+/// The number of decimals of a multiple of the step.
 fn decimals(step: f64) -> usize {
     (-step.log10().floor()).clamp(0.0, 12.0) as usize
 }
 
-/// Without an exponent, and without a sign before zero.
+/// Formats a number without an exponent, and without a sign before zero.
 fn plain(value: f64, digits: usize) -> String {
     let text = format!("{value:.digits$}");
     let is_zero = !text.contains(|c: char| c.is_ascii_digit() && c != '0');
     if is_zero { text.trim_start_matches('-').to_owned() } else { text }
 }
 
-/// With an exponent if it is short only so.
+/// Formats a number, with an exponent if it is too long without one.
 fn plain_or_short(value: f64, step: f64) -> String {
     if value.abs() < step / 2.0 {
         return "0".to_owned();
@@ -279,7 +279,7 @@ fn plain_or_short(value: f64, step: f64) -> String {
     format!("{value:.digits$e}")
 }
 
-/// What an SVG document cannot have in it is left out.
+/// Leaves out the characters that an SVG document must not contain.
 fn printable(name: &str) -> String {
     name.chars().filter(|c| !c.is_control() && !('\u{fffe}'..='\u{ffff}').contains(c)).collect()
 }

@@ -61,11 +61,11 @@ pub struct Alarms {
     said: HashMap<String, u64>,
     visitor: Visitor,
     graph: Arc<GraphSnapshot>,
-    /// The system refused a look, of which the user was warned.
+    /// The system refused to let the graph be read, and the user was warned.
     is_refused: bool,
     asked: Arc<AtomicBool>,
     processes: Vec<ForeignStatistics>,
-    /// When each process that has ended did so.
+    /// The time at which each process that has ended did so.
     ended: HashMap<PathBuf, u64>,
     looked_ns: u64,
     is_first: bool,
@@ -122,7 +122,7 @@ impl Alarms {
         }
         match self.visitor.graph() {
             Ok(graph) => (self.graph, self.is_refused) = (graph, false),
-            // What was there at the last look serves until the next.
+            // The graph of the last refresh is used until the next.
             Err(error) if error.is_passing() => {
                 if !std::mem::replace(&mut self.is_refused, true) {
                     say(&format!(
@@ -157,7 +157,7 @@ impl Alarms {
                 longest_ns: 0,
                 is_silent: false,
             });
-            if heard.hear(messages, least_ns, now_ns) && has_publisher(topic) {
+            if heard.falls_silent(messages, least_ns, now_ns) && has_publisher(topic) {
                 let seconds = (now_ns - heard.last_ns) as f64 / 1e9;
                 found.push((
                     Kind::Silence,
@@ -181,7 +181,7 @@ impl Alarms {
         Ok(found.into_iter().map(alarm).collect())
     }
 
-    /// Deadlines that were missed since the last call.
+    /// Adds an alarm for each callback that missed deadlines since the last call.
     fn missed(&mut self, found: &mut Vec<(Kind, String, String)>) {
         // Statistics that cannot be read now are read the next time.
         let (there, _) = shared_statistics(self.domain).unwrap_or_default();
@@ -240,8 +240,8 @@ impl Alarms {
 }
 
 impl Heard {
-    /// Whether the topic falls silent now.
-    fn hear(&mut self, messages: u64, own_ns: Option<u64>, now_ns: u64) -> bool {
+    /// Takes the number of messages so far. Returns whether the topic falls silent now.
+    fn falls_silent(&mut self, messages: u64, own_ns: Option<u64>, now_ns: u64) -> bool {
         let since_ns = now_ns.saturating_sub(self.last_ns);
         if messages != self.messages {
             if self.messages > 0 {
@@ -266,14 +266,14 @@ mod tests {
         let mut heard = Heard { messages: 0, last_ns: 0, longest_ns: 0, is_silent: false };
         const MS: u64 = 1_000_000;
         // A topic that never had a message is not silent.
-        assert!(!heard.hear(0, Some(MS), 1000 * MS));
-        (1..=9).for_each(|n| assert!(!heard.hear(n, None, 1000 * MS + n * 200 * MS)));
-        assert!(!heard.hear(9, None, 60_000 * MS), "too few to tell");
-        assert!(!heard.hear(10, None, 60_000 * MS), "a pause of 57.2 s");
-        assert!(!heard.hear(10, None, 600_000 * MS));
-        assert!(heard.hear(10, None, 640_000 * MS));
-        assert!(!heard.hear(10, None, 650_000 * MS), "said once");
-        assert!(!heard.hear(11, None, 660_000 * MS));
-        assert!(heard.hear(11, Some(50 * MS), 660_051 * MS), "its own time");
+        assert!(!heard.falls_silent(0, Some(MS), 1000 * MS));
+        (1..=9).for_each(|n| assert!(!heard.falls_silent(n, None, 1000 * MS + n * 200 * MS)));
+        assert!(!heard.falls_silent(9, None, 60_000 * MS), "too few to tell");
+        assert!(!heard.falls_silent(10, None, 60_000 * MS), "a pause of 57.2 s");
+        assert!(!heard.falls_silent(10, None, 600_000 * MS));
+        assert!(heard.falls_silent(10, None, 640_000 * MS));
+        assert!(!heard.falls_silent(10, None, 650_000 * MS), "said once");
+        assert!(!heard.falls_silent(11, None, 660_000 * MS));
+        assert!(heard.falls_silent(11, Some(50 * MS), 660_051 * MS), "its own time");
     }
 }

@@ -122,7 +122,7 @@ impl Dumper {
     }
 }
 
-/// What a publisher keeps for late joiners.
+/// The messages that a publisher keeps for late joiners.
 #[derive(Default)]
 struct Latched {
     messages: VecDeque<(Head, Vec<u8>)>,
@@ -284,7 +284,7 @@ impl Work {
         let members: Vec<_> = (0..self.latched.len()).filter(of_topic).collect();
         let mut bytes: usize = members.iter().map(|at| self.latched[*at].bytes).sum();
         while bytes > LATCHED_BYTES {
-            // The message that came stays, however long it is. What is its publisher's last goes after what is not.
+            // The new message stays, however long it is. The last message of a publisher is removed only after all that are not.
             let may_go = |at: &&usize| self.latched[**at].messages.len() > usize::from(**at == channel);
             let rank = |at: &&usize| {
                 let messages = &self.latched[**at].messages;

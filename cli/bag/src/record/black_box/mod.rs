@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The black box: the last seconds stay in memory, and are written when something happens.
 //!
-//! Messages stay in the ring that the reader fills: `dumper` drops those that are too old, and writes them when `alarms` says why.
+//! Messages stay in the ring that the reader fills: `dumper` drops those that are too old, and writes the others at an alarm of `alarms`.
 //! `tracing` keeps trace events beside them.
 
 mod alarms;
@@ -41,7 +41,7 @@ pub fn print(args: &RecordArgs, folder: &Path, dumped: Outcome<Dumped>, statemen
             printed = printed.and_then(|()| writeln!(out, "  {}", dump.line()));
         }
     }
-    // The verdict counts, also where nobody reads this.
+    // The verdict takes precedence over an error of printing.
     if let Some(short_ns) = dumped.shortest_ns {
         say(&format!(
             "taut: warning: --budget had room for {:.1} s only: a greater one keeps all of --black-box",

@@ -18,7 +18,7 @@ use tautline_trace::{Description, Event, Record, Recorder};
 const PERIOD: Duration = Duration::from_millis(10);
 /// The most events that are kept: 64 MB.
 const MOST_EVENTS: usize = 1_600_000;
-/// How long a request for the file waits.
+/// How long the writing of the file is waited for.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// The thread that keeps the events. It ends when this is dropped.
