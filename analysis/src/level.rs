@@ -439,8 +439,9 @@ impl<'a> Level<'a> {
         let bands = &core.bands[..core.bands.partition_point(|(priority, ..)| *priority >= task.priority)];
         // A section delays only if it began before: at least 1 ns of it is over.
         let sections = bands.last().map_or(0, |(_, _, below_ns)| below_ns.saturating_sub(1));
-        // The end of a reservation preempts everything.
-        let is_whole = task.non_preemptive_ns >= task.wcet_ns && task.reservation.is_none();
+        // The end of a reservation preempts everything, and a job that waits for a lock gives up the core after it began.
+        let is_whole =
+            task.non_preemptive_ns >= task.wcet_ns && task.reservation.is_none() && task.lock_waits == 0;
         let tail = if is_whole { task.wcet_ns - 1 } else { 0 };
         let own = members.iter().filter(|i| !is_lower(&core.tasks[**i])).map(|i| core.callbacks[*i].clone());
         let own = Curve::new(own).ok_or_else(|| overflow(task))?;
@@ -474,9 +475,10 @@ impl<'a> Level<'a> {
     /// Computes the utilisation, without the demand of its own thread as others see it.
     fn with_utilisation(mut self) -> Result<Self, AnalysisError> {
         let gap = self.gap.iter().map(Demand::utilisation);
-        let all =
+        let mut all =
             self.curves().map(|curve| Some(curve.utilisation)).chain(gap).chain([Some(self.own.utilisation)]);
-        let all = all.sum::<Option<u128>>().ok_or_else(|| overflow(self.task))?;
+        let all = all.try_fold(0, |sum: u128, part| sum.checked_add(part?));
+        let all = all.ok_or_else(|| overflow(self.task))?;
         let own = self.members.iter().map(|i| self.core.delays[*i].utilisation());
         self.utilisation = all - own.sum::<Option<u128>>().ok_or_else(|| overflow(self.task))?;
         Ok(self)

@@ -58,3 +58,12 @@ fn grown(system: &System, tasks: &[usize], factor: u64) -> System {
     }
     grown
 }
+
+/// The deadline is missed on a core other than the first one of the reservation.
+#[test]
+fn a_reservation_that_misses_a_deadline_on_any_core_has_no_room() {
+    let file = SystemFile::parse(include_str!("cases/floating_reservation.toml")).unwrap();
+    let tasks: Vec<_> = file.callbacks().iter().map(|callback| callback.tasks.clone()).collect();
+    assert!(!file.check().schedulable);
+    assert!(sensitivity::wcet_of_each(file.system(), &tasks).is_none());
+}

@@ -79,6 +79,9 @@ fn what_comes_from_a_host_outside_passes_this_ones_gateway() {
     // It may come 50 ms late, at once with two others, and wait for 50 ms and theirs: 86 after 50.
     let text = LIDAR.replace("{ period", "{ remote = true, period");
     assert_eq!(capacities(&text), [(7, 1)]);
+    // However far apart they were sent.
+    let apart = text.replace("period = \"20ms\"", "period = \"20ms\", min_distance = \"20ms\"");
+    assert_eq!(capacities(&apart), [(7, 1)]);
 }
 
 #[test]

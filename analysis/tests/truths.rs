@@ -364,3 +364,17 @@ fn a_mistake_in_the_toml_says_how_to_mend_it() {
     assert!(problems.to_string().starts_with("2:"), "{problems}");
     assert!(problems.to_string().contains(": write"), "{problems}");
 }
+
+/// A job that is not preempted gives up the core where it waits for a lock.
+#[test]
+fn a_job_that_waits_for_a_lock_is_preempted_meanwhile() {
+    covers_response(&case!("section_waits_for_a_lock"), "mid", 16.0);
+}
+
+#[test]
+fn the_most_load_is_no_panic() {
+    let most = "[hosts.h]\ncores = 1\n[overheads]\nper_message = \"18446744073709551615ns\"\n[nodes.n]\n[callbacks.a]\n\
+                period = \"1ns\"\nwcet = \"1ns\"\n";
+    let checked = check(most);
+    assert!(!checked.schedulable && !checked.warnings.is_empty());
+}

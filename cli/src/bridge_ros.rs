@@ -8,7 +8,7 @@ use std::ffi::OsString;
 use std::process::{Command, ExitCode, Stdio};
 use tautline_rt::host::with_former_open_files;
 
-const BRIDGE: Sibling = Sibling {
+pub const BRIDGE: Sibling = Sibling {
     program: "taut-bridge-ros",
     build: "it needs a ROS 2: source one (source /opt/ros/jazzy/setup.bash, or what `cargo xtask ros` says), then build it with \
             `cargo build --release --manifest-path bridge-ros/Cargo.toml --target-dir target`, or install it with \

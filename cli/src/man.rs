@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut man`: writes a manual page for each verb from its help text.
 
-use crate::sibling::WITH_VERBS;
+use crate::bridge_ros::BRIDGE;
+use crate::sibling::{GATEWAY, Sibling, WITH_VERBS};
 use crate::verb::{Failure, Outcome};
 use clap::{Args, Command};
 use clap_mangen::Man;
@@ -44,7 +45,36 @@ pub fn run(args: &ManArgs, command: Command) -> Outcome {
             }
         }
     }
+    for sibling in [&GATEWAY, &BRIDGE] {
+        if let Err(reason) = write_help(args, sibling)? {
+            eprintln!("taut: the page of {} has no options: {reason}", sibling.program);
+        }
+    }
     Ok(writeln!(crate::print::stdout(), "Wrote {written} pages to {}", args.folder.display())?)
+}
+
+/// Replaces the page of a separate program by one with its help text. `Err`: why it has none.
+fn write_help(args: &ManArgs, sibling: &Sibling) -> Outcome<Result<(), String>> {
+    let program = sibling.path();
+    let output = match process::Command::new(&program).arg("--help").output() {
+        Ok(output) if output.status.success() => output,
+        Ok(output) => return Ok(Err(String::from_utf8_lossy(&output.stderr).trim().to_owned())),
+        Err(error) => return Ok(Err(sibling.error(program, error).to_string())),
+    };
+    let help = String::from_utf8_lossy(&output.stdout);
+    let (about, rest) = help.split_once('\n').unwrap_or((&help, ""));
+    let mut page = Roff::new();
+    page.control("SH", ["NAME"]).text([roman(format!("{} - {about}", sibling.program))]);
+    page.control("SH", ["DESCRIPTION"]).control("nf", []);
+    for line in rest.lines() {
+        page.text([roman(line)]);
+    }
+    page.control("fi", []).control("SH", ["SEE ALSO"]).text([roman("taut(1)")]);
+    let mut text = title(sibling.program, env!("CARGO_PKG_VERSION")).into_bytes();
+    page.to_writer(&mut text)?;
+    let path = args.folder.join(format!("{}.1", sibling.program));
+    crate::replace::write(&path, &text).map_err(|error| unwritable(&path, error))?;
+    Ok(Ok(()))
 }
 
 /// Writes the pages of a program's verbs, and prints how many.
@@ -57,18 +87,20 @@ fn write(args: &ManArgs, command: Command, with_top: bool) -> Outcome<usize> {
     let mut command = command.disable_help_subcommand(true);
     command.build();
     let version = command.get_version().unwrap_or_default().to_owned();
-    let failed =
-        |path: &Path, error| Failure::unusable(format!("{} cannot be written: {error}", path.display()));
-    fs::create_dir_all(&args.folder).map_err(|error| failed(&args.folder, error))?;
+    fs::create_dir_all(&args.folder).map_err(|error| unwritable(&args.folder, error))?;
     let mut pages = Vec::new();
     collect(&command, &version, None, &mut pages);
     // The first page is that of the command itself.
     pages.drain(..usize::from(!with_top));
     for (name, page) in &pages {
         let path = args.folder.join(name);
-        crate::replace::write(&path, page).map_err(|error| failed(&path, error))?;
+        crate::replace::write(&path, page).map_err(|error| unwritable(&path, error))?;
     }
     Ok(pages.len())
+}
+
+fn unwritable(path: &Path, error: impl std::fmt::Display) -> Failure {
+    Failure::unusable(format!("{} cannot be written: {error}", path.display()))
 }
 
 /// Writes a command's page and those of its verbs; `above` is the name of the parent's page.
@@ -81,12 +113,15 @@ fn collect(command: &Command, version: &str, above: Option<&str>, pages: &mut Ve
 }
 
 fn page(command: &Command, name: &str, version: &str, above: Option<&str>) -> Vec<u8> {
-    // clap_mangen omits an empty date from its title, which shifts the fields after it.
-    let title = format!(".TH \"{}\" \"1\" \"\" \"taut {version}\" \"Tautline\"\n", name.to_uppercase());
-    let mut page = title.into_bytes();
+    let mut page = title(name, version).into_bytes();
     // Writing to memory cannot fail.
     let _ = sections(&Man::new(command.clone()), command, above, &mut page);
     page
+}
+
+/// clap_mangen omits an empty date from its title, which shifts the fields after it.
+fn title(name: &str, version: &str) -> String {
+    format!(".TH \"{}\" \"1\" \"\" \"taut {version}\" \"Tautline\"\n", name.to_uppercase())
 }
 
 fn sections(man: &Man, command: &Command, above: Option<&str>, page: &mut Vec<u8>) -> io::Result<()> {

@@ -157,6 +157,21 @@ Fit for real time: 0 bad, 0 unknown, 0 advice, 22 good.
     assert_eq!(output.status.code(), Some(0));
 }
 
+/// Where no logind.conf is in /etc, systemd reads the vendor's.
+#[test]
+fn the_vendors_configuration_of_logind_counts() {
+    let root = good_host();
+    remove(&root, "etc/systemd/logind.conf");
+    remove(&root, "etc/systemd/logind.conf.d/robot.conf");
+    put(&root, "usr/lib/systemd/logind.conf", "[Login]\nRemoveIPC=yes\n");
+    put(&root, "usr/local/lib/systemd/logind.conf.d/site.conf", "[Login]\nRemoveIPC=no\n");
+    let expected = "good     logout: RemoveIPC=no (/usr/local/lib/systemd/logind.conf.d/site.conf)\n";
+    assert!(golden(&doctor(root.path(), &[])).contains(expected));
+    remove(&root, "usr/local/lib/systemd/logind.conf.d/site.conf");
+    let expected = "bad      logout: RemoveIPC=yes (/usr/lib/systemd/logind.conf)";
+    assert!(golden(&doctor(root.path(), &[])).contains(expected));
+}
+
 fn bad_host() -> TempDir {
     let root = good_host();
     for (path, text) in [

@@ -51,6 +51,20 @@ fn every_verb_has_a_page() {
     );
 }
 
+/// What is not built is named.
+#[test]
+fn a_separate_program_has_its_options() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = man(folder.path().to_str().unwrap());
+    let page = fs::read_to_string(folder.path().join("taut-gateway.1")).unwrap();
+    let words = String::from_utf8(output.stderr).unwrap();
+    if words.contains("the page of taut-gateway has no options: ") {
+        assert!(words.contains("cargo build"), "{words}");
+    } else {
+        assert!(page.contains(".SH NAME\ntaut\\-gateway \\- ") && page.contains("\\-\\-listen"), "{page}");
+    }
+}
+
 #[test]
 fn a_folder_that_cannot_be_written_is_named() {
     let output = man("/proc/nobody/man1");

@@ -29,8 +29,8 @@ use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic, wall_ns};
 use tautline_rt::{self as rt, CoreSet, Policy, ThreadBuilder};
 use tautline_schema::{DynamicMessage, Kind};
 use tautline_transport::{
-    EndpointKind, Gid, Limits, Participant, Publisher, RawPublisher, ServiceKind, ServiceType, TopicEndpoint,
-    TopicType, Visitor,
+    EndpointKind, Gid, Limits, Origin, Participant, Publisher, RawPublisher, RemoteGraph, ServiceKind, ServiceType,
+    TopicEndpoint, TopicType, Visitor,
 };
 use tempfile::TempDir;
 
@@ -520,6 +520,52 @@ fn a_recording_is_thinned_out_and_paused() {
     let report: Value = serde_json::from_str(&out).unwrap();
     let some = report["topics"].as_array().unwrap().iter().find(|topic| topic["topic"] == "/some").unwrap();
     assert_eq!((&some["paused"], &some["throttled"]), (&1.into(), &(1000 - kept as u64).into()));
+}
+
+#[test]
+fn what_a_new_publisher_sends_during_a_pause_is_not_lost() {
+    let place = Place::new(155);
+    let recorder = place.record(&["-a", "--paused", "--json"]);
+    let publisher = place.publisher::<Count>("/new", Qos::default());
+    place.wait_for_observer(publisher.gid());
+    publisher.publish(&Count { n: 1 }).unwrap();
+    // As above.
+    sleep_until_monotonic(monotonic_ns() + 200_000_000);
+    recorder.signal("-USR1");
+    sleep_until_monotonic(monotonic_ns() + 200_000_000);
+    publisher.publish(&Count { n: 2 }).unwrap();
+    let (code, out, errors) = recorder.end();
+    assert_eq!(code, 0, "{errors}{out}");
+    assert_eq!(numbers(&place.read()["/new"]), [2]);
+}
+
+/// It comes through a port that the graph does not list, and that is older than the recording.
+#[test]
+fn the_past_of_another_hosts_topic_is_not_lost() {
+    let place = Place::new(156);
+    let gateway = Place::new(156);
+    let port = gateway.publisher::<Count>("/far", Qos::default());
+    let remote = TopicEndpoint {
+        kind: EndpointKind::Publisher,
+        topic: "/far".into(),
+        topic_type: TopicType::of::<Count>(),
+        gid: Gid([9; 16]),
+        qos: Qos::default(),
+        node: None,
+        pid: None,
+        is_remote: true,
+        is_own: false,
+        origin: Origin::default(),
+        teller: None,
+    };
+    gateway.participant.set_remote(&RemoteGraph { endpoints: vec![remote], ..RemoteGraph::default() }).unwrap();
+    (1..=100).for_each(|n| port.publish(&Count { n }).unwrap());
+    let recorder = place.record(&["/far", "--json"]);
+    place.wait_for_observer(port.gid());
+    port.publish(&Count { n: 101 }).unwrap();
+    let (code, out, errors) = recorder.end();
+    assert_eq!(code, 0, "{errors}{out}");
+    assert_eq!(numbers(&place.read()["/far"]), [101]);
 }
 
 /// Each publisher's last message is in the bag though the recorder began with a pause, in a channel of the publisher; a topic without

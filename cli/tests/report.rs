@@ -246,6 +246,20 @@ fn what_was_kept_is_kept_and_a_saved_run_says_the_same() {
     assert!(text(&output.stdout).contains("another text of the system file"));
 }
 
+#[test]
+fn callbacks_without_a_job_are_nothing_to_compare() {
+    let scratch = Scratch::new("idle");
+    let system = scratch.write("system.toml", SYSTEM);
+    let mut running = Running::start(152, Realtime::Off, &system);
+    for name in ["fine", "other"] {
+        running.handle(name, 1, &[]);
+    }
+    let output = taut(&["--domain", "152"]);
+    assert_eq!(output.status.code(), Some(2), "{output:?}");
+    assert!(text(&output.stdout).contains("Nothing to compare: no job"), "{output:?}");
+    assert_eq!(json(&taut(&["--domain", "152", "--json"]))["kept"], false);
+}
+
 /// What a host takes is not to be had at will: it is put into a saved run.
 #[test]
 fn what_the_host_took_explains_a_late_response_or_it_does_not() {

@@ -38,7 +38,8 @@ fn every_verb_that_prints_json_has_a_schema() {
     let named = |verb: &&String| verb.strip_prefix("taut-").is_some_and(|name| found.contains(name));
     let expected = verbs.iter().filter(|verb| is_one(verb) && prints(verb) && *verb != REFUSES);
     assert_eq!(expected.filter(|verb| !named(verb)).collect::<Vec<_>>(), Vec::<&String>::new());
-    let of_verbs = verbs.iter().filter(named).filter(|verb| prints(verb)).count();
+    let is_program = |verb: &&String| PROGRAMS.iter().any(|program| **verb == format!("taut-{program}"));
+    let of_verbs = verbs.iter().filter(|verb| named(verb) && prints(verb) && !is_program(verb)).count();
     assert_eq!(of_verbs + PROGRAMS.len(), found.len(), "{found:?}");
     assert!(PROGRAMS.iter().all(|program| found.contains(*program)), "{found:?}");
     for name in &found {

@@ -53,6 +53,14 @@ impl CoreTimeAccount {
         }
     }
 
+    /// Records the end of a job that does not complete.
+    pub fn abandon(&self) {
+        self.running.set(self.running.get().saturating_sub(1));
+        if self.running.get() == 0 {
+            self.begun.take();
+        }
+    }
+
     /// Records the end of a job; of overlapping jobs, only the last end. The time taken from a job that has slept is unknown. `late`: the
     /// release and the end of a job that ended beyond its bound.
     pub fn end(&self, stats: &CallbackStats, slept: bool, late: Option<(u64, u64)>) {

@@ -278,7 +278,8 @@ impl Executor {
         let thread = builder.spawn(move || {
             tautline_trace::register_thread();
             let trace = tautline_trace::callback_init(thread_stats.name());
-            let stopwatch = execution_time.then(|| Stopwatch::new(busy));
+            // A busy poller's clock is monotonic, and read at the start of each job.
+            let (stopwatch, spins) = (execution_time.then(|| Stopwatch::new(busy)), !spin.is_zero() && !busy);
             let failed = |error| {
                 // The callback is stopped before its first poll.
                 thread_control.stop();
@@ -294,7 +295,7 @@ impl Executor {
                 _ => BudgetEnforcer::demoting(timer, ends),
             });
             let (measured, future) =
-                make(Measured { stats: thread_stats, watch, stopwatch, enforcer, account });
+                make(Measured { stats: thread_stats, watch, stopwatch, spins, enforcer, account });
             let (control, queue) = (Arc::clone(&thread_control), Cell::default());
             hot::enter(CallbackThread {
                 measured,

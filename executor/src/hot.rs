@@ -42,11 +42,19 @@ pub(crate) struct CallbackThread {
     pub announced: Cell<ObjectId>,
 }
 
+impl CallbackThread {
+    fn address(&self) -> usize {
+        Arc::as_ptr(&self.control).addr()
+    }
+}
+
 pub(crate) struct Measured {
     pub stats: Arc<CallbackStats>,
     pub watch: Watch,
     /// `None` if execution times are not measured.
     pub stopwatch: Option<Stopwatch>,
+    /// Whether the thread uses processor time while it waits for the next job.
+    pub spins: bool,
     /// Enforces the jobs' budgets, if enabled.
     pub enforcer: Option<BudgetEnforcer>,
     /// Records the time taken from the core, if it is accounted for.
@@ -104,21 +112,21 @@ impl BudgetEnforcer {
             Enforcement::Suspend { period, behind } => {
                 if let Some(budget) = budget.filter(|_| is_first) {
                     behind.set(behind.get().filter(|left| release_ns < left.refill_at_ns));
-                    self.refill(release_ns, since_ns, budget, *period, behind.get());
+                    let (budget_ns, refill) = Self::refill(release_ns, budget, *period, behind.get());
+                    self.timer.arm_refilled(since_ns, now_ns, budget_ns, refill);
                 }
             }
         }
     }
 
-    /// Arms the timer. A release more than one period ago counts as one period ago: otherwise the job would get all refills since at once.
+    /// What is left of the budget, in ns, and its next refill. A release more than one period ago counts as one period ago: otherwise the
+    /// job would get all refills since at once.
     fn refill(
-        &self,
         release_ns: u64,
-        since_ns: u64,
         budget: Duration,
         period: Duration,
         left: Option<RemainingBudget>,
-    ) {
+    ) -> (u64, Refill) {
         let (period_ns, now_ns) = (nanoseconds(period), monotonic_ns());
         let release_ns = release_ns.clamp(now_ns.saturating_sub(period_ns), now_ns);
         let own = RemainingBudget {
@@ -126,7 +134,7 @@ impl BudgetEnforcer {
             refill_at_ns: release_ns.saturating_add(period_ns),
         };
         let RemainingBudget { budget_ns, refill_at_ns } = left.unwrap_or(own);
-        self.timer.arm_refilled(since_ns, budget_ns, Refill { at_ns: refill_at_ns, period, budget });
+        (budget_ns, Refill { at_ns: refill_at_ns, period, budget })
     }
 
     /// Ends the enforcement for a job; returns whether it was demoted or suspended. Of overlapping jobs the last one returns it for all.
@@ -223,7 +231,8 @@ impl Measured {
         if let Some(stopwatch) = &self.stopwatch {
             stopwatch.begin();
             if let (Some(enforcer), Some(since_ns)) = (&self.enforcer, stopwatch.since_ns.get()) {
-                enforcer.begin(release_ns, since_ns, since_ns, of.budget());
+                let now_ns = if self.spins { thread_cpu_ns() } else { since_ns };
+                enforcer.begin(release_ns, since_ns, now_ns, of.budget());
             }
         }
         StartedJob { release_ns }
@@ -244,6 +253,19 @@ impl Measured {
         let is_exact = self.enforcer.is_some();
         let execution_ns = self.stopwatch.as_ref().map(|stopwatch| stopwatch.lap(now_ns, is_exact));
         stats::Job { release_ns, response_ns, execution_ns, input_size }
+    }
+
+    /// Ends a job that does not complete.
+    fn abandon(&self) {
+        if let Some(account) = &self.account {
+            account.abandon();
+        }
+        if self.enforcer.as_ref().is_some_and(BudgetEnforcer::end) {
+            self.stats.demoted();
+        }
+        if let Some(stopwatch) = &self.stopwatch {
+            stopwatch.lap(monotonic_ns(), true);
+        }
     }
 
     /// Excludes the time of handlers, if one was called, from the next job's execution time.
@@ -439,12 +461,15 @@ impl Future for Controlled {
 pub struct Job {
     begun: Option<StartedJob>,
     callback: ObjectId,
+    /// The thread that began it, by the address of its control block.
+    thread: usize,
 }
 
 /// Starts a job of the current thread's callback, released at the `CLOCK_MONOTONIC` time `release_ns`.
 ///
 /// # Real-time
-/// Wait-free; no allocation; no syscall, except one in a thread's first job, and three where core time is accounted for.
+/// Wait-free; no allocation; no syscall, except one in a thread's first job, one where a budget is enforced for a thread that spins, and
+/// three where core time is accounted for.
 pub fn begin(release_ns: u64) -> Job {
     begin_for(current(|thread| thread.trace.id()).unwrap_or_default(), release_ns)
 }
@@ -459,12 +484,13 @@ pub fn begin_for(callback: ObjectId, release_ns: u64) -> Job {
         if begun.is_none() {
             thread.announced.set(callback);
         }
-        begun
+        (begun, thread.address())
     });
+    let (begun, thread) = begun.map_or((None, 0), |(begun, thread)| (Some(begun), thread));
     // A group begins a member's job at its turn.
     let callback = if matches!(begun, Some(None)) { ObjectId::NONE } else { callback };
     tautline_trace::callback_start(callback, release_ns);
-    Job { begun: begun.flatten(), callback }
+    Job { begun: begun.flatten(), callback, thread }
 }
 
 impl Job {
@@ -476,9 +502,10 @@ impl Job {
     /// budgets are enforced by timers: one more, as many at the start of the job, and after an overrun another one at both; by the enforcer:
     /// at most a futex wake at the start. If core time is accounted
     /// for: three more. In addition, the cost of the handlers of [`CallbackOptions`](crate::CallbackOptions), if one is called.
-    pub fn finish(self) {
+    pub fn finish(mut self) {
+        let begun = self.begun.take();
         let ended = |thread: &CallbackThread| {
-            let (begun, to) = (self.begun?, thread.measured.as_ref()?);
+            let (begun, to) = (begun?, thread.measured.as_ref()?);
             Some(to.end(begun, thread.input_size.take(), &to.stats))
         };
         let job = current(ended).flatten();
@@ -488,6 +515,18 @@ impl Job {
                 if let Some(to) = &thread.measured {
                     to.exclude_handlers(to.watch.call_handlers(to.stats.complete(&job), &job));
                 }
+            });
+        }
+    }
+}
+
+impl Drop for Job {
+    /// Its stream was dropped: the job does not complete, and neither its budget nor the account of core time goes on.
+    fn drop(&mut self) {
+        if self.begun.is_some() {
+            current(|thread| {
+                let measured = thread.measured.as_ref().filter(|_| thread.address() == self.thread);
+                measured.map(Measured::abandon)
             });
         }
     }

@@ -97,6 +97,46 @@ fn what_waited_for_an_overrun_is_done_below_too_and_what_comes_later_is_not() {
 }
 
 #[test]
+fn a_job_whose_stream_is_dropped_leaves_later_ones_their_budgets() {
+    if !realtime() {
+        return;
+    }
+    let ((first_order, first), (orders, receiver)) = (mpsc::unbounded(), mpsc::unbounded());
+    let (log, ends) = (Log::default(), Arc::new(AtomicU64::new(0)));
+    let (work_log, work_ends) = (log.clone(), ends.clone());
+    let work = async move {
+        let mut first = Box::pin(jobs(first));
+        first.next().await;
+        drop(first);
+        jobs(receiver)
+            .for_each(move |work| {
+                clock::burn_cpu(work);
+                work_log.add(level());
+                work_ends.fetch_add(1, Ordering::SeqCst);
+                async {}
+            })
+            .await;
+    };
+    let executor = Executor::new(Realtime::Required);
+    let options = CallbackOptions::fifo(20).name("dropped").budget(budget()).demote_on_overrun();
+    let callback = executor.spawn_callback(options, work).unwrap();
+    let little = budget() / 4;
+    first_order.unbounded_send((clock::monotonic_ns(), little)).unwrap();
+    for (number, work) in [(1, budget() * 3), (2, little)] {
+        orders.unbounded_send((clock::monotonic_ns(), work)).unwrap();
+        // The next one is released after this one has ended.
+        while ends.load(Ordering::SeqCst) < number || callback.stats().completions() < number {
+            std::thread::yield_now();
+        }
+    }
+    let (stats, control) = (callback.stats().clone(), callback.clone());
+    drop((orders, first_order));
+    control.join().unwrap();
+    assert_eq!(log.events(), ["below", "own"]);
+    assert_eq!((stats.completions(), stats.demotions()), (2, 1));
+}
+
+#[test]
 fn a_callback_that_is_to_end_does_no_other_job() {
     if !realtime() {
         return;

@@ -326,6 +326,29 @@ fn the_fields_of_a_struct_are_parameters() {
     assert_eq!(*of_struct.lock().unwrap(), Controller { gain: 1.5, frame: "map".into(), limits });
 }
 
+/// `on_set` checks what is declared, too; and a reader gets what is set, whatever the program did to the field.
+#[test]
+fn a_struct_is_checked_and_may_be_changed_by_the_program() {
+    let parameters = node("--ros-args -p gain:=9.0").unwrap().parameters().clone();
+    let check = parameters.on_set(|values| {
+        let is_high = |(name, value): &(String, ParameterValue)| {
+            name == "gain" && matches!(value, ParameterValue::Double(gain) if *gain > 5.0)
+        };
+        if values.iter().any(is_high) { Err("too high".into()) } else { Ok(()) }
+    });
+    let of_struct = Arc::new(Mutex::new(Controller::default()));
+    let refused = reason(parameters.declare_struct(of_struct.clone()));
+    assert!(refused.contains("too high"), "{refused}");
+    assert!(!parameters.names().contains(&"limits.steps".to_owned()));
+    drop(check);
+    parameters.declare_struct(of_struct.clone()).unwrap();
+    of_struct.lock().unwrap().gain = 2.0;
+    let mut gain = parameters.reader::<f64>("gain").unwrap();
+    assert_eq!(gain.get(), 2.0);
+    parameters.set("gain", 9.0).unwrap();
+    assert_eq!((gain.get(), of_struct.lock().unwrap().gain), (9.0, 9.0));
+}
+
 #[test]
 fn what_is_given_must_fit_the_struct() {
     for (arguments, expected) in [

@@ -200,7 +200,10 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
         data: *const c_void,
     ) -> Result {
         let Some(function) = callback else {
-            self.remove_on_new();
+            // In a forked child nothing calls it, and a call of the parent's never returns.
+            if context.is_of_this_process() {
+                self.remove_on_new();
+            }
             return Ok(());
         };
         let waker = context.serve(self.listener(), self.thread().map(|plan| plan.priority))?;
@@ -216,6 +219,8 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
         self.callback.replace(None);
         self.callback.settle();
         self.with(|port| port.subscription().set_own_look(false));
+        // Publishers of this context rang nobody until here: a thread that has begun to wait looks again.
+        self.wake();
         self.listeners.remove(&self.listener());
     }
 

@@ -74,6 +74,11 @@ impl Publisher {
         self.happened.listen(helper, events)
     }
 
+    /// Before the lock is taken, which a thread of the parent may have held at a fork.
+    fn check_process(&self) -> Result {
+        self.node.context().waiters.check_process()
+    }
+
     /// Publishes a message of at most `len_bytes`, whose length `write` returns.
     ///
     /// # Real-time
@@ -82,6 +87,7 @@ impl Publisher {
     /// which inherits this thread's priority. A keep-all publisher waits up to 100 ms for room; others may publish meanwhile. Then as
     /// [`Listeners::notify`].
     fn publish(&self, len_bytes: usize, write: impl FnOnce(&mut [u8]) -> Result<usize>) -> Result {
+        self.check_process()?;
         let side = self.side.lock();
         let mut loan = side.raw.loan(len_bytes)?;
         let written = write(&mut loan)?;
@@ -130,6 +136,7 @@ impl Publisher {
         let Length::Plain(len_bytes) = self.message_type.length else {
             return Err(Error::unsupported("this type cannot be loaned: its layout differs from CDR"));
         };
+        self.check_process()?;
         let mut side = self.side.lock();
         // The memory holds zeros or an earlier message of this publisher, so a valid message of this type: clearing it would take
         // as long as a copy.
@@ -193,6 +200,7 @@ exported! {
         message: *mut c_void => present "the message",
         _allocation: *mut rmw_publisher_allocation_t,
     ) {
+        publisher.check_process()?;
         let mut side = publisher.side.lock();
         let mut loan = side.take_back(message)?;
         publisher.message_type.tidy(&mut loan);

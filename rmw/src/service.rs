@@ -93,7 +93,13 @@ impl Depth {
                 break;
             }
             let Ok(Some(next)) = take() else { break };
-            oldest.replace(next).into_iter().for_each(&lose);
+            // Those of several clients or servers come in turns, not in the order of their times.
+            let released_ns = |sample: &RawSample| sample.info().released_ns;
+            if oldest.as_ref().is_some_and(|kept| released_ns(&next) < released_ns(kept)) {
+                lose(next);
+            } else {
+                oldest.replace(next).into_iter().for_each(&lose);
+            }
         }
         Ok(oldest)
     }

@@ -286,19 +286,19 @@ impl BudgetTimer {
         self.start(since_ns, now_ns, nanoseconds(budget));
     }
 
-    /// Like [`arm`](Self::arm), but when the budget is used up the thread is not demoted: it sleeps, in the middle of its work, until the
-    /// refill. It keeps everything that it holds, including the allocator's locks.
+    /// Like [`arm_late`](Self::arm_late), but when the budget is used up the thread is not demoted: it sleeps, in the middle of its work, until
+    /// the refill. It keeps everything that it holds, including the allocator's locks.
     ///
     /// # Real-time
     /// As [`arm`](Self::arm).
-    pub fn arm_refilled(&self, since_ns: u64, budget_ns: u64, refill: Refill) {
+    pub fn arm_refilled(&self, since_ns: u64, now_ns: u64, budget_ns: u64, refill: Refill) {
         STATE.with(|state| {
             state.refill_at_ns.store(refill.at_ns, Ordering::Relaxed);
             // Never zero: time has to pass from refill to refill.
             state.period_ns.store(nanoseconds(refill.period).max(1), Ordering::Relaxed);
             state.refill_ns.store(nanoseconds(refill.budget).max(1), Ordering::Relaxed);
         });
-        self.start(since_ns, since_ns, budget_ns);
+        self.start(since_ns, now_ns, budget_ns);
     }
 
     fn start(&self, since_ns: u64, now_ns: u64, budget_ns: u64) {
@@ -678,7 +678,8 @@ mod tests {
             let (period, budget) = (ms(20), ms(2));
             let begin_ns = monotonic_ns();
             let refill = Refill { at_ns: begin_ns + ns(20), period, budget };
-            timer.arm_refilled(thread_cpu_ns(), ns(2), refill);
+            let now_ns = thread_cpu_ns();
+            timer.arm_refilled(now_ns, now_ns, ns(2), refill);
             assert!(!timer.was_suspended());
             burn_cpu(ms(7));
             // Three refills were needed: 2 ms at once, and after 20, 40 and 60 ms.

@@ -45,8 +45,9 @@ pub enum ScopeError {
 /// # Errors
 /// [`ScopeError::Name`]: `TAUT_SCOPE` is not a valid scope.
 pub fn scope() -> Result<Option<&'static str>, ScopeError> {
-    let of_environment = || match std::env::var(VARIABLE) {
-        Ok(name) if !name.is_empty() => checked(&name).map(Some),
+    let of_environment = || match std::env::var_os(VARIABLE) {
+        // A name that is not UTF-8 gets a character that no scope has.
+        Some(name) if !name.is_empty() => checked(&name.to_string_lossy()).map(Some),
         _ => Ok(None),
     };
     SCOPE.get_or_init(of_environment).as_ref().map(Option::as_deref).map_err(Clone::clone)

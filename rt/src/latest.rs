@@ -81,6 +81,12 @@ impl<T> LatestWriter<T> {
         wake();
     }
 
+    /// Whether the reader has the newest value, and so none of the former ones.
+    pub fn is_read(&self) -> bool {
+        // Acquire: pairs with the reader's exchange, after which it does not use the former value.
+        self.buffer.between.load(Ordering::Acquire) & FRESH == 0
+    }
+
     /// Whether the reader has been dropped.
     pub fn is_abandoned(&self) -> bool {
         Arc::strong_count(&self.buffer) == 1
@@ -146,7 +152,7 @@ mod tests {
         for value in 1..10 {
             writer.write(value);
             if value % 3 == 0 {
-                assert!(reader.is_fresh());
+                assert!(reader.is_fresh() && !writer.is_read());
                 assert_eq!(*reader.read(), value);
                 assert!(!reader.is_fresh());
                 assert_eq!(*reader.read(), value);

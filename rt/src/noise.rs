@@ -35,19 +35,30 @@ impl Interruptions {
     /// Allocates before the measurement; then no syscall where the kernel maps its clock. Occupies the core for
     /// `window`.
     pub fn watch(window: Duration) -> Interruptions {
+        Interruptions::watch_by(monotonic_ns, crate::clock::nanoseconds(window))
+    }
+
+    fn watch_by(mut clock: impl FnMut() -> u64, window_ns: u64) -> Interruptions {
         let mut steps_ns = Vec::with_capacity(ROOM);
-        let start_ns = monotonic_ns();
-        let end_ns = start_ns.saturating_add(crate::clock::nanoseconds(window));
+        // Those without room, all of which count as regular: number, total and longest.
+        let mut more = (0, 0, 0);
+        let start_ns = clock();
+        let end_ns = start_ns.saturating_add(window_ns);
         let mut last_ns = start_ns;
         while last_ns < end_ns {
-            let now_ns = monotonic_ns();
+            let now_ns = clock();
             let step_ns = now_ns - last_ns;
             if step_ns >= THRESHOLD_NS && steps_ns.len() < ROOM {
                 steps_ns.push(step_ns);
+            } else if step_ns >= THRESHOLD_NS {
+                more = (more.0 + 1, more.1 + step_ns, step_ns.max(more.2));
             }
             last_ns = now_ns;
         }
-        Interruptions::of(steps_ns, last_ns - start_ns)
+        let mut seen = Interruptions::of(steps_ns, last_ns - start_ns);
+        (seen.count, seen.total_ns) = (seen.count + more.0, seen.total_ns + more.1);
+        (seen.regular_ns, seen.longest_ns) = (seen.regular_ns.max(more.2), seen.longest_ns.max(more.2));
+        seen
     }
 
     fn of(mut steps_ns: Vec<u64>, window_ns: u64) -> Interruptions {
@@ -94,6 +105,18 @@ mod tests {
         assert_eq!((seen.count, seen.total_ns), (198, 396_000));
         assert_eq!((seen.regular_ns, seen.longest_ns), (2_000, 5_000_000));
         assert_eq!((seen.period_ns(), seen.mean_ns()), (Some(1_000_000_000 / 198), Some(2_000)));
+    }
+
+    #[test]
+    fn what_there_is_no_room_for_is_counted() {
+        let (mut now_ns, mut steps) = (0, 0);
+        let clock = || {
+            steps += 1;
+            now_ns += if steps == 70_000 { 5_000_000 } else { 1_200 };
+            now_ns
+        };
+        let seen = Interruptions::watch_by(clock, 71_000 * 1_200 + 5_000_000);
+        assert!(seen.count > ROOM as u64 && seen.longest_ns == 5_000_000, "{seen:?}");
     }
 
     #[test]

@@ -119,11 +119,17 @@ impl ForeignWords {
     /// This user's files whose names begin with `prefix`, in the order of their names.
     ///
     /// # Errors
-    /// If /dev/shm cannot be read.
+    /// If /dev/shm cannot be read, or at the limit of open files.
     pub fn list(prefix: &str) -> io::Result<Vec<ForeignWords>> {
-        // A file that cannot be opened was just removed, or belongs to another user.
-        let open = |path: PathBuf| Some(ForeignWords { file: PeerFile::open(path, false).ok()? });
-        Ok(shm::list(prefix)?.into_iter().filter_map(open).collect())
+        let open = |path: PathBuf| match PeerFile::open(path, false) {
+            Ok(file) => Some(Ok(ForeignWords { file })),
+            Err(error) if matches!(error.source.raw_os_error(), Some(libc::EMFILE | libc::ENFILE)) => {
+                Some(Err(error.into()))
+            }
+            // It was just removed, or belongs to another user.
+            Err(_) => None,
+        };
+        shm::list(prefix)?.into_iter().filter_map(open).collect()
     }
 
     /// Its path; the file may have been removed.

@@ -13,7 +13,7 @@ use std::time::Duration;
 use support::{Count, Part, domain, say, wait_for_the_end};
 use tautline_rt::ThreadBuilder;
 use tautline_sampler::Sampler;
-use tautline_transport::{Limits, Participant, Publisher, Qos, Subscription};
+use tautline_transport::{LoanError, Limits, Participant, PublishError, Publisher, Qos, Subscription};
 
 fn publisher(participant: &Participant, qos: Qos) -> Publisher<Count> {
     participant.create_publisher("/messages", qos, Limits::default()).unwrap()
@@ -102,6 +102,26 @@ fn a_publisher_that_waits_is_freed_when_the_subscription_goes() {
     let waiting = std::thread::spawn(move || block_on(publisher.loan().unwrap().publish_when_ready()));
     drop(subscription);
     waiting.join().unwrap().unwrap();
+    sampler.stop().unwrap();
+}
+
+#[test]
+fn a_publisher_that_waits_is_freed_when_its_node_ends() {
+    let participant = Participant::new(domain(184)).unwrap();
+    let sampler = Sampler::new(&participant).unwrap().start(ThreadBuilder::new("sampler")).unwrap();
+    let node = participant.create_node("waits", "/").unwrap();
+    let publisher = publisher(&participant.for_node(&node), Qos::keep_all(1));
+    let _full = subscription(&participant, Qos::keep_all(1));
+    publisher.publish(&Count { n: 1 }).unwrap();
+    let (loaned, is_loaned) = std::sync::mpsc::channel();
+    let waiting = std::thread::spawn(move || {
+        let loan = publisher.loan().unwrap();
+        loaned.send(()).unwrap();
+        block_on(loan.publish_when_ready())
+    });
+    is_loaned.recv().unwrap();
+    node.end();
+    assert!(matches!(waiting.join().unwrap(), Err(PublishError::Loan(LoanError::Ended))));
     sampler.stop().unwrap();
 }
 

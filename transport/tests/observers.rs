@@ -160,6 +160,24 @@ fn what_publishers_send_can_be_read_without_a_subscription() {
     assert_eq!(visitor.sent(&ends[&gid]).unwrap(), None);
 }
 
+/// Also if its record was rewritten while it ended, and is gone with its file when somebody looks.
+#[test]
+fn a_normal_end_is_no_death_however_long_the_record_is() {
+    let domain = domain(53);
+    clean(domain);
+    let mut visitor = Visitor::new(domain).unwrap();
+    for count in 1..=40 {
+        let participant = Participant::new(domain).unwrap();
+        let node = participant.create_node("ends", "/").unwrap();
+        let publishers: Vec<_> =
+            (0..count).map(|n| publisher(&participant, &format!("/of_many/{n}"), Qos::default())).collect();
+        assert_eq!(visitor.graph().unwrap().endpoints.len(), count);
+        drop((publishers, node, participant));
+        assert_eq!(visitor.graph().unwrap().endpoints.len(), 0);
+        assert_eq!(visitor.take_deaths(), [], "{count} publishers");
+    }
+}
+
 /// Who publishes alone, and is killed: nobody cleans up after it, and it is not there.
 #[test]
 fn the_dead_are_not_seen_though_nobody_buried_them() {

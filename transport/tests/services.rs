@@ -284,6 +284,29 @@ fn an_answer_that_has_no_place_yet_is_waited_for_though_its_server_has_gone() {
 }
 
 #[test]
+fn a_request_ends_with_its_server_though_no_more_responses_can_be_held() {
+    let participant = Participant::new(domain(54)).unwrap();
+    let server = server(&participant, "/hoarded");
+    let client = client(&participant, "/hoarded");
+    let mut held = Vec::new();
+    let pending = loop {
+        let mut pending = ask(&client, b"?");
+        let request = take(&server);
+        respond(&server, &request, b"!");
+        match (&mut pending).now_or_never() {
+            Some(response) => held.push(response.unwrap()),
+            None => break pending,
+        }
+    };
+    held.pop();
+    held.push(pending.now_or_never().unwrap().unwrap());
+    let mut last = ask(&client, b"?");
+    assert!((&mut last).now_or_never().is_none());
+    drop(server);
+    assert!(matches!(last.now_or_never(), Some(Err(ServiceError::ServerGone { .. }))));
+}
+
+#[test]
 fn what_no_service_can_be_called_is_refused() {
     let participant = Participant::new(domain(63)).unwrap();
     let bytes = ServiceType::new("test_srvs/srv/Bytes", None);

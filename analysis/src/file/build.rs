@@ -126,6 +126,11 @@ impl Builder<'_> {
             let deadline = declared.deadline.as_ref().map_or(shortest, |deadline| deadline.value);
             tasks.iter_mut().for_each(|callback| callback.task.deadline_ns = deadline);
         }
+        for i in own..callbacks.len() {
+            if let Some(of) = callbacks[i].copy_of {
+                callbacks[i].task.deadline_ns = callbacks[of].task.deadline_ns;
+            }
+        }
         let task_owner: Vec<usize> = (0..owner.len())
             .flat_map(|i| std::iter::repeat_n(owner[i], self.streams.tasks(i).len()))
             .collect();
@@ -149,8 +154,8 @@ impl Builder<'_> {
                 callbacks[*i].task.priority = self.threads[owner].priority.unwrap_or(1);
             });
         }
-        let chains =
-            self.file.chains.iter().map(|declared| self.chain(declared, &callbacks)).collect::<Vec<_>>();
+        let chains = self.file.chains.iter().map(|declared| self.chain(declared, &callbacks));
+        let chains = chains.collect::<Result<Vec<_>, _>>()?;
         let entries = (0..self.file.callbacks.len()).map(|i| self.entry(i, &callbacks, owner[i])).collect();
         let system_cores = overheads.into_iter().map(|overheads| Core { overheads, stall_ns: 0 }).collect();
         let mut system = System { cores: system_cores, callbacks, relays, chains };
@@ -332,12 +337,12 @@ impl Builder<'_> {
         }
     }
 
-    fn chain(&self, declared: &super::declared::Chain, callbacks: &[Callback]) -> Chain {
+    fn chain(&self, declared: &super::declared::Chain, callbacks: &[Callback]) -> Result<Chain, String> {
         let stages = paths::resolve(self.file, declared);
         let host = |i: usize| self.places[i].host;
         let mut parts: Vec<Part> = Vec::new();
         let mut from: Option<usize> = None;
-        for ways in paths::parts(&stages, &self.streams, callbacks) {
+        for ways in paths::parts(&declared.name, &stages, &self.streams, callbacks)? {
             let at = stages[from.map_or(0, |from| from + 1)];
             let read = from.map(|from| stages[from]);
             let transfer = read.map_or(Transfer::LOCAL, |before| self.transfer(host(before) != host(at)));
@@ -345,7 +350,8 @@ impl Builder<'_> {
             from = Some(from.map_or(ways.callbacks - 1, |from| from + ways.callbacks));
             parts.push(Part { ways: ways.tasks, transfer, overwritten_by });
         }
-        Chain { name: declared.name.clone(), parts, deadline_ns: declared.deadline.unwrap_or(u64::MAX) }
+        let (name, deadline_ns) = (declared.name.clone(), declared.deadline.unwrap_or(u64::MAX));
+        Ok(Chain { name, parts, deadline_ns })
     }
 
     /// Returns another writer of what `reader` reads of the chain so far; `None` if it can read that from a topic without another writer.

@@ -393,6 +393,8 @@ impl SystemFile {
                 // A message from a host that is not in the file comes through this host's gateway.
                 if remote && !callback.is_triggered() {
                     callback.task.jitter_ns = callback.task.jitter_ns.saturating_add(stall_ns);
+                    // What the gateway then catches up with comes at once.
+                    callback.task.min_distance_ns = 0;
                 }
             }
         }

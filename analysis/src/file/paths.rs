@@ -46,6 +46,9 @@ pub(super) fn resolve(file: &Declared, chain: &Chain) -> Vec<usize> {
     chain.path.iter().filter_map(|stage| index(&stage.value)).collect()
 }
 
+/// Maximum of ways through the joins of a chain, whose number doubles with each join of two topics of one publisher.
+const MOST_WAYS: usize = 4_096;
+
 /// Callbacks of a chain each of which triggers the next.
 pub(super) struct Ways {
     /// How many callbacks.
@@ -56,7 +59,15 @@ pub(super) struct Ways {
 
 /// Returns the parts of a chain. The same message passes all of a part, where one callback triggers the next, or the next waits for it and
 /// others. A callback that reads at its own pace begins another part, with any of its streams.
-pub(super) fn parts(stages: &[usize], streams: &Streams, callbacks: &[Callback]) -> Vec<Ways> {
+///
+/// # Errors
+/// The chain has more than [`MOST_WAYS`].
+pub(super) fn parts(
+    chain: &str,
+    stages: &[usize],
+    streams: &Streams,
+    callbacks: &[Callback],
+) -> Result<Vec<Ways>, String> {
     let mut parts: Vec<Ways> = Vec::new();
     for &stage in stages {
         // The triggered tasks, by the task that publishes.
@@ -72,13 +83,18 @@ pub(super) fn parts(stages: &[usize], streams: &Streams, callbacks: &[Callback])
             let next = path.last().and_then(|from| triggered.get(from)).into_iter().flatten();
             next.map(|to| path.iter().copied().chain([*to]).chain(join).collect()).collect()
         };
-        let further: Vec<_> =
-            parts.last().into_iter().flat_map(|part| &part.tasks).flat_map(extend).collect();
+        let former = parts.last().into_iter().flat_map(|part| &part.tasks);
+        let further: Vec<_> = former.flat_map(extend).take(MOST_WAYS + 1).collect();
+        if further.len() > MOST_WAYS {
+            return Err(format!(
+                "chain `{chain}` has more than {MOST_WAYS} ways through its joins: split it into several chains"
+            ));
+        }
         match parts.last_mut().filter(|_| !further.is_empty()) {
             Some(part) => *part = Ways { callbacks: part.callbacks + 1, tasks: further },
             None => parts
                 .push(Ways { callbacks: 1, tasks: streams.outputs(stage).map(|task| vec![task]).collect() }),
         }
     }
-    parts
+    Ok(parts)
 }

@@ -87,8 +87,6 @@ pub(super) fn copy(name: &str, task: usize, cores: &[CoreEntry], callbacks: &mut
     callbacks.extend(others.map(|core| {
         let mut copy = Callback { core, copy_of: Some(task), ..own.clone() };
         copy.task.priority = Reservation::PRIORITY;
-        // The deadline applies to the worst of the copies.
-        copy.task.deadline_ns = u64::MAX - 1;
         copy.task.name = format!("{name} (core {})", cores[core].number);
         copy
     }));

@@ -164,10 +164,13 @@ pub fn remove_ipc(host: &Host) -> Checked {
     ]))
 }
 
-/// The value that logind uses, and its file: the last drop-in by name, else logind.conf. Of drop-ins of one name the last folder's counts.
+/// Folders of systemd's configuration. Of files of one name that of the last folder is used (systemd's logind.conf(5)).
+const FOLDERS: [&str; 4] = ["/usr/lib/systemd", "/usr/local/lib/systemd", "/run/systemd", "/etc/systemd"];
+
+/// The value that logind uses, and its file: the last drop-in by name, else logind.conf.
 fn setting(tree: &Tree, key: &str) -> Result<(String, String), String> {
     let mut drop_ins = BTreeMap::new();
-    for folder in ["/usr/lib/systemd", "/run/systemd", "/etc/systemd"] {
+    for folder in FOLDERS {
         let folder = format!("{folder}/logind.conf.d");
         if tree.has(&folder) {
             let names = tree.list(&folder)?.into_iter().filter(|name| name.ends_with(".conf"));
@@ -175,7 +178,8 @@ fn setting(tree: &Tree, key: &str) -> Result<(String, String), String> {
         }
     }
     let mut found = ("yes".to_owned(), "the default".to_owned());
-    for file in ["/etc/systemd/logind.conf".to_owned()].into_iter().chain(drop_ins.into_values()) {
+    let main = FOLDERS.iter().rev().map(|folder| format!("{folder}/logind.conf")).find(|file| tree.has(file));
+    for file in main.into_iter().chain(drop_ins.into_values()) {
         let text = tree.read_if_there(&file)?.unwrap_or_default();
         let mut assigned =
             text.lines().filter_map(|line| line.trim().strip_prefix(key)?.trim().strip_prefix('='));

@@ -3,7 +3,7 @@
 //! ROS's client libraries only publications are seen: those of a thread that waits in the RMW, between its wake and its first take.
 
 use crate::trace::messages::{Run, runs};
-use crate::trace::recording::{Process, Recording};
+use crate::trace::recording::{Process, Recording, TimedEvent};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fmt::Write;
 use tautline_rt::{self as rt, Policy, ThreadInfo};
@@ -292,8 +292,7 @@ fn used(runs: &[Run], threads: &Threads) -> Vec<u64> {
 /// The rate of each topic that triggers a callback and that no callback publishes: of its publications, or of its takes if it has none.
 fn rates(recording: &Recording, callbacks: &[Callback]) -> BTreeMap<String, Rate> {
     let by_callbacks: BTreeSet<_> = callbacks.iter().flat_map(|callback| &callback.publishes).collect();
-    let mut times: BTreeMap<String, Vec<u64>> = BTreeMap::new();
-    let taken: BTreeSet<_> = callbacks
+    let wanted: BTreeSet<_> = callbacks
         .iter()
         .filter_map(|callback| match &callback.trigger {
             Trigger::Topic(topic) => Some(topic),
@@ -301,18 +300,28 @@ fn rates(recording: &Recording, callbacks: &[Callback]) -> BTreeMap<String, Rate
         })
         .filter(|topic| !by_callbacks.contains(topic))
         .collect();
-    let mut published: BTreeSet<&str> = BTreeSet::new();
-    for kind in [EventKind::Publish, EventKind::Take] {
-        for timed in recording.events.iter().filter(|timed| timed.event.kind == kind) {
-            let Some(object) = recording.object(timed.process, timed.event.object) else { continue };
-            let is_first_choice = kind == EventKind::Publish || !published.contains(&*object.name);
-            if taken.contains(&object.name) && is_first_choice {
-                times.entry(object.name.clone()).or_default().push(timed.event.time_ns);
-            }
-        }
-        published = times.keys().filter_map(|name| taken.get(name)).map(|name| name.as_str()).collect();
+    let mut published: BTreeMap<&str, Vec<u64>> = BTreeMap::new();
+    let mut taken: BTreeMap<(&str, u32, ObjectId), Vec<u64>> = BTreeMap::new();
+    for TimedEvent { process, event, .. } in &recording.events {
+        let object = recording.object(*process, event.object).filter(|object| wanted.contains(&object.name));
+        let Some(object) = object else { continue };
+        let times = match event.kind {
+            EventKind::Publish => published.entry(&object.name).or_default(),
+            EventKind::Take => taken.entry((&object.name, *process, event.object)).or_default(),
+            _ => continue,
+        };
+        times.push(event.time_ns);
     }
-    times.into_iter().map(|(topic, times)| (topic, rate(&times))).collect()
+    // Each subscription takes every message: the one that took most stands for the topic.
+    let mut times: BTreeMap<&str, Vec<u64>> = BTreeMap::new();
+    for ((topic, ..), taken) in taken {
+        let most = times.entry(topic).or_default();
+        if taken.len() > most.len() {
+            *most = taken;
+        }
+    }
+    times.extend(published);
+    times.into_iter().map(|(topic, times)| (topic.to_owned(), rate(&times))).collect()
 }
 
 fn rate(times: &[u64]) -> Rate {
@@ -525,4 +534,41 @@ fn node_name(node: &str) -> &str {
 fn node_key(node: &str) -> String {
     let name = node_name(node);
     if key(name) == name { name.to_owned() } else { format!("{name:?}") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tautline_trace::{Description, Event};
+
+    /// Its publisher is not recorded.
+    #[test]
+    fn a_topic_that_two_subscriptions_take_has_the_rate_of_one() {
+        let mut recording = Recording::default();
+        let (id, parent) = (ObjectId(7), ObjectId::NONE);
+        for process in [1, 2] {
+            let (kind, name) = (ObjectKind::Subscription, "/imu".to_owned());
+            let object = Description { id, kind, parent, detail: 0, gid: [0; 2], created_ns: 0, name };
+            recording.process(process).objects.insert(id, object);
+            for number in 0..10 {
+                let (time_ns, kind) = (1000 * number + 100 * u64::from(process), EventKind::Take);
+                let event = Event { time_ns, kind, object: id, arguments: [number, 0, 9] };
+                recording.events.push(TimedEvent { process, tid: process, event });
+            }
+        }
+        recording.finish();
+        let callback = Callback {
+            key: String::new(),
+            node: String::new(),
+            process: 1,
+            tid: 1,
+            trigger: Trigger::Topic("/imu".to_owned()),
+            runs: 10,
+            longest_ns: 1,
+            is_exact: true,
+            publishes: BTreeSet::new(),
+        };
+        let rate = &rates(&recording, &[callback])["/imu"];
+        assert_eq!((rate.messages, rate.regular), (10, Some((1000, 0))));
+    }
 }

@@ -6,7 +6,7 @@ use serde::Serialize;
 use tautline::HistogramSnapshot;
 
 use super::explain::Mark;
-use super::verdict::{ChainRow, Comparison, Measured, Row, Running, Unknown, least_distance};
+use super::verdict::{ChainRow, Comparison, Measured, Row, Running, Unknown, Verdict, least_distance};
 
 #[derive(Serialize)]
 struct Report<'a> {
@@ -131,7 +131,7 @@ struct Stray<'a> {
 /// Writes one JSON object and a newline.
 pub fn write(comparison: &Comparison, out: &mut impl Write) -> io::Result<()> {
     let report = Report {
-        kept: comparison.kept,
+        kept: comparison.verdict == Verdict::Kept,
         realtime: comparison.realtime,
         callbacks: comparison.rows.iter().map(callback).collect(),
         chains: comparison.chains.iter().map(chain).collect(),

@@ -20,7 +20,7 @@ pub mod watch;
 mod wcet;
 
 use run::Run;
-use verdict::Comparison;
+use verdict::{Comparison, Verdict};
 use watch::ObservedProcesses;
 use wcet::{Change, Fits};
 
@@ -140,7 +140,7 @@ fn killed_text(killed: usize) -> String {
 /// Runs the verb; the exit code is the verdict.
 pub fn run(args: &ReportArgs) -> ExitCode {
     match report(args) {
-        Ok(kept) => ExitCode::from(u8::from(!kept)),
+        Ok(verdict) => ExitCode::from(verdict as u8),
         // The reader has closed the pipe (`taut report | head`).
         Err(ReportError::Print(error)) if error.kind() == io::ErrorKind::BrokenPipe => ExitCode::SUCCESS,
         Err(ReportError::File(error)) => {
@@ -154,7 +154,7 @@ pub fn run(args: &ReportArgs) -> ExitCode {
     }
 }
 
-fn report(args: &ReportArgs) -> Result<bool, ReportError> {
+fn report(args: &ReportArgs) -> Result<Verdict, ReportError> {
     if args.overheads {
         return overheads::report(args);
     }
@@ -171,7 +171,7 @@ fn report(args: &ReportArgs) -> Result<bool, ReportError> {
     report_running(args)
 }
 
-fn report_saved(args: &ReportArgs, path: &Path, text: &str) -> Result<bool, ReportError> {
+fn report_saved(args: &ReportArgs, path: &Path, text: &str) -> Result<Verdict, ReportError> {
     if args.watch || args.common.is_domain_named() {
         return Err(ReportError::SavedLive { path: path.into() });
     }
@@ -186,7 +186,7 @@ fn report_saved(args: &ReportArgs, path: &Path, text: &str) -> Result<bool, Repo
     print(args, &system, &run, false)
 }
 
-fn report_running(args: &ReportArgs) -> Result<bool, ReportError> {
+fn report_running(args: &ReportArgs) -> Result<Verdict, ReportError> {
     let domain = args.common.domain().map_err(ReportError::Domain)?;
     let end = End::after(args.common.timeout()).map_err(ReportError::Signal)?;
     let mut processes = ObservedProcesses::new(domain);
@@ -204,14 +204,14 @@ fn report_running(args: &ReportArgs) -> Result<bool, ReportError> {
         let run = processes.gather(&path, &system.text)?;
         // Without a terminal, intermediate tables are omitted.
         let shown = last || args.common.json || io::stdout().is_terminal();
-        let kept = if shown { print(args, &system, &run, args.watch)? } else { true };
+        let verdict = if shown { print(args, &system, &run, args.watch)? } else { Verdict::Nothing };
         if last {
             processes.print_killed();
             if let Some(path) = &args.save {
                 run.save(path)?;
                 eprintln!("Saved: {0}; `taut report {0}` shows it again.", path.display());
             }
-            return Ok(kept);
+            return Ok(verdict);
         }
         end.pause(REFRESH);
         processes.refresh()?;
@@ -237,7 +237,7 @@ fn read(path: &Path) -> Result<String, ReportError> {
     std::fs::read_to_string(path).map_err(|source| ReportError::Read { path: path.into(), source })
 }
 
-fn print(args: &ReportArgs, system: &System, run: &Run, in_place: bool) -> Result<bool, ReportError> {
+fn print(args: &ReportArgs, system: &System, run: &Run, in_place: bool) -> Result<Verdict, ReportError> {
     let comparison = Comparison::new(&system.file, &system.checked, run);
     if args.wcet {
         return print_wcets(args, system, run, &comparison);
@@ -252,7 +252,7 @@ fn print(args: &ReportArgs, system: &System, run: &Run, in_place: bool) -> Resul
         table::write(&comparison, run, &mut out)?;
     }
     out.flush()?;
-    Ok(comparison.kept)
+    Ok(comparison.verdict)
 }
 
 fn print_wcets(
@@ -260,7 +260,7 @@ fn print_wcets(
     system: &System,
     run: &Run,
     comparison: &Comparison,
-) -> Result<bool, ReportError> {
+) -> Result<Verdict, ReportError> {
     let fits = Fits::new(comparison, args.exceedance, run.taken_at_s);
     let change = if args.lower { Change::RaiseAndLower } else { Change::Raise };
     let written = args.write.then(|| fits.put(system, &run.system_path, change)).transpose()?;
@@ -279,11 +279,11 @@ fn print_wcets(
         }
     }
     out.flush()?;
-    Ok(match written {
+    Ok(Verdict::of(match written {
         // The file now states at least what was measured, except for the largest input, which only the user can state.
         Some((_, schedulable)) => schedulable && fits.inputs_are_kept(),
         None => fits.are_kept(),
-    })
+    }))
 }
 
 fn print_changes(path: &Path, changes: &[String], schedulable: bool, out: &mut impl Write) -> io::Result<()> {

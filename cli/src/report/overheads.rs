@@ -6,6 +6,7 @@ use std::time::Duration;
 use serde_json::{Value, json};
 use tautline_executor::ExecutorSnapshot;
 
+use super::verdict::Verdict;
 use super::{ReportArgs, ReportError};
 use crate::table::{WARNING, wrap, write_table};
 
@@ -19,7 +20,7 @@ struct Measured {
 }
 
 /// Prints what was measured, and the lines for the system file.
-pub fn report(args: &ReportArgs) -> Result<bool, ReportError> {
+pub fn report(args: &ReportArgs) -> Result<Verdict, ReportError> {
     let domain = args.common.domain().map_err(ReportError::Domain)?;
     let (processes, _) =
         tautline_system::shared_statistics(domain).map_err(|error| ReportError::Domain(error.into()))?;
@@ -59,7 +60,7 @@ pub fn report(args: &ReportArgs) -> Result<bool, ReportError> {
         }
     }
     out.flush()?;
-    Ok(true)
+    Ok(Verdict::Kept)
 }
 
 /// For each client library its name, the value for the file, and the executor with the longest time, those with empty callbacks first.

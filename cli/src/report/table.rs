@@ -8,7 +8,7 @@ use tautline::HistogramSnapshot;
 use super::explain;
 use super::host::Share;
 use super::run::Run;
-use super::verdict::{ChainRow, Comparison, Row};
+use super::verdict::{ChainRow, Comparison, Row, Verdict};
 use crate::table::{BAD, GOOD, WARNING, ms, wrap, write_table};
 
 /// Writes the whole report; callbacks with a violation are red.
@@ -132,8 +132,7 @@ fn cells(row: &Row) -> Vec<String> {
 }
 
 fn verdict(comparison: &Comparison, run: &Run, out: &mut impl Write) -> io::Result<()> {
-    let jobs: u64 =
-        comparison.rows.iter().filter_map(|row| Some(row.measured.as_ref()?.callback.completions)).sum();
+    let jobs = comparison.jobs();
     let running = run.processes.iter().filter(|process| process.running).count();
     let processes = match (run.processes.len(), running) {
         (1, 1) => "one process".into(),
@@ -141,7 +140,10 @@ fn verdict(comparison: &Comparison, run: &Run, out: &mut impl Write) -> io::Resu
         (all, running) if all == running => format!("{all} processes"),
         (all, running) => format!("{all} processes, {} of them ended", all - running),
     };
-    if comparison.kept {
+    if comparison.verdict == Verdict::Nothing {
+        return writeln!(out, "Nothing to compare: no job of a callback of the file has ended yet ({processes}).");
+    }
+    if comparison.verdict == Verdict::Kept {
         let text = format!("Kept: no assumption of the analysis was violated in {jobs} jobs ({processes}).");
         return writeln!(out, "{GOOD}{text}{GOOD:#}");
     }

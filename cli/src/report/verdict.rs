@@ -9,9 +9,23 @@ use super::explain::{self, Mark};
 use super::host::{Host, Share};
 use super::run::{Callback, Process, Run};
 
+/// What a report says of the assumptions and bounds of the analysis; its number is the exit code.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Verdict {
+    Kept = 0,
+    Violated = 1,
+    /// No job has ended.
+    Nothing = 2,
+}
+
+impl Verdict {
+    pub fn of(kept: bool) -> Self {
+        if kept { Verdict::Kept } else { Verdict::Violated }
+    }
+}
+
 pub struct Comparison {
-    /// Whether the assumptions and bounds of the analysis held in this run.
-    pub kept: bool,
+    pub verdict: Verdict,
     /// Whether all processes have real-time policies; without them no bound applies.
     pub realtime: bool,
     /// The callbacks of the hosts that run, in the order of the file.
@@ -141,7 +155,7 @@ impl Comparison {
         });
         let realtime = run.processes.iter().all(|process| process.realtime);
         let mut comparison = Comparison {
-            kept: false,
+            verdict: Verdict::Nothing,
             realtime,
             rows,
             chains,
@@ -149,9 +163,16 @@ impl Comparison {
             unknown,
             notes,
         };
-        let marks = comparison.marks().count();
-        comparison.kept = marks == 0;
+        let is_kept = comparison.marks().next().is_none();
+        if !is_kept || comparison.jobs() > 0 {
+            comparison.verdict = Verdict::of(is_kept);
+        }
         comparison
+    }
+
+    /// Jobs that have ended, of all callbacks of the file.
+    pub fn jobs(&self) -> u64 {
+        self.rows.iter().filter_map(|row| Some(row.measured.as_ref()?.callback.completions)).sum()
     }
 
     /// All violations with their callbacks and processes.

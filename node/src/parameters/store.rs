@@ -255,7 +255,13 @@ impl Parameters {
         self.run_checks(&values)?;
         for of_struct in &hooks.structs {
             let (mut fields, mut set) = (of_struct.among(&values), lock(&of_struct.value));
-            fields.try_for_each(|(name, value)| set.set_parameter(name, value))?;
+            fields.try_for_each(|(name, value)| {
+                // The program may have changed the field: readers have that value.
+                if let (Ok(now), Some(of_map)) = (set.get_parameter(name), lock(&self.shared.map).get_mut(name)) {
+                    of_map.value = now;
+                }
+                set.set_parameter(name, value)
+            })?;
         }
         let mut changed = Vec::new();
         {
@@ -373,6 +379,7 @@ impl Parameters {
         let fields = after.iter().filter(|(name, parameter)| parameter.declared && is_new(name));
         let fields: Vec<_> =
             fields.map(|(name, parameter)| (name.clone(), parameter.value.clone())).collect();
+        self.run_checks(&fields)?;
         *lock(&self.shared.map) = after;
         hooks.events.publish(&Changes { new: &fields, ..Changes::default() });
         let fields = fields.into_iter().map(|(name, _)| name).collect();

@@ -104,12 +104,12 @@ impl Clock {
             if left.is_zero() {
                 return Ok(());
             }
+            let simulated = self.is_simulated();
             let mut timer = match self.kind {
                 ClockType::SteadyTime => Some(tautline_sampler::Timer::new(context.events(), left)?),
-                _ if self.is_simulated() => None,
+                _ if simulated => None,
                 _ => Some(tautline_sampler::Timer::new(context.events(), left.min(LONGEST))?),
             };
-            let simulated = self.is_simulated();
             poll_fn(|task| {
                 if let Some(waiter) = &waiter {
                     waiter.register(task);

@@ -236,6 +236,8 @@ impl TimeSource {
                 None => return,
             }
         }
+        // There may be more, for which nobody rings.
+        self.shared.waiting.wake_all();
     }
 
     fn take(&self) -> Option<ClockJump> {

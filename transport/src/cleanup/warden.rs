@@ -32,13 +32,17 @@ use tautline_rt::fork::ProcessFd;
 use tautline_rt::shm::{self, ShmError};
 
 /// A file that was closed is checked at once and after each of these times: the kernel reports that a file is closed a moment before
-/// it frees the lock. If the lock is held even after the last one, another process than the owner has closed the file.
-const AGAIN: [Duration; 5] = [
+/// it frees the lock, and a dying thread may wait for a core that real-time threads have. If the lock is held even after the last one,
+/// another process than the owner has closed the file.
+const AGAIN: [Duration; 8] = [
     Duration::from_millis(1),
     Duration::from_millis(4),
     Duration::from_millis(8),
     Duration::from_millis(16),
     Duration::from_millis(200),
+    Duration::from_secs(1),
+    Duration::from_secs(10),
+    Duration::from_secs(60),
 ];
 /// How often all files are checked if the kernel does not report closed files.
 const PERIOD: Duration = Duration::from_millis(40);

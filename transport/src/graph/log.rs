@@ -260,6 +260,11 @@ impl Reader {
             if place != self.place || self.part.as_ref().map(turn) != Some(self.turn) {
                 let Some(range) = PackedRange::from_word(place).filter(|range| range.len <= MAX_BYTES) else {
                     update.is_damaged = place != 0;
+                    if place == 0 && self.part.is_some() {
+                        // The participant has ended, and leaves nothing.
+                        *self = Reader::default();
+                        update.anew = true;
+                    }
                     return Ok(update);
                 };
                 let Some(part) = peer.map(range, false)? else { return Ok(update) };

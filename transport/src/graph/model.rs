@@ -413,11 +413,12 @@ impl Model {
                 self.note_gone(id, member.is_relay, number, &port);
             }
         }
-        if update.is_damaged
-            && let Some(peer) = member.peer.take()
-        {
-            log_skipped(&TransportError::Damaged { path: peer.path().to_owned() });
+        if update.is_damaged {
+            // Before the file is given up: what is listed has its process.
             self.unlist(id, member);
+            if let Some(peer) = &member.peer {
+                log_skipped(&TransportError::Damaged { path: peer.path().to_owned() });
+            }
             *member = ParticipantRecord::new(None);
         }
         Ok(())

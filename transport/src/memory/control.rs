@@ -343,9 +343,10 @@ impl PublisherControl {
             entry.block.store(of(|entry| &entry.block), Ordering::Relaxed);
         }
         enter(&new[former]);
-        // Release: as above. The former directory may be overwritten from here on, while other processes still read it: they may miss a
-        // connection, and what they find is checked by its magic and its gid.
+        // Release: as above. The former directory may be overwritten from here on, while other processes still read it.
         self.head().directory.store(new_word, Ordering::Release);
+        // Orders this store before those into the former directory: pairs with the fence in `View::find`.
+        fence(Ordering::Release);
         let (offset, _) = directory_place(word);
         let part = self.parts.iter().position(|(range, _)| (range.offset..range.end()).contains(&offset));
         if let Some(part) = part {
@@ -462,9 +463,17 @@ impl MappedControl {
     }
 }
 
+fn gid_of(head: &PublisherHead) -> Gid {
+    Gid::from_words([0, 1].map(|word| head.gid[word].load(Ordering::Relaxed)))
+}
+
+/// The directory was replaced while it was read, or lies in a part that is not mapped yet.
+pub(crate) struct Moved;
+
 /// A publisher's memory as a subscription's participant sees it.
 pub(crate) struct View {
     parts: Vec<(Range, Arc<Mapping>)>,
+    publisher: Gid,
 }
 
 impl View {
@@ -473,16 +482,17 @@ impl View {
         if map.len_bytes() < HEAD_BYTES as usize {
             return None;
         }
-        let view = View { parts: vec![(first, map)] };
-        let head = view.head();
-        let found = head.magic.load(Ordering::Acquire) == MAGIC
-            && Gid::from_words([head.gid[0].load(Ordering::Relaxed), head.gid[1].load(Ordering::Relaxed)])
-                == gid;
-        found.then_some(view)
+        let view = View { parts: vec![(first, map)], publisher: gid };
+        view.is_of_its_publisher().then_some(view)
     }
 
     pub(crate) fn of_own(control: &PublisherControl) -> Self {
-        View { parts: control.parts() }
+        View { parts: control.parts(), publisher: gid_of(control.head()) }
+    }
+
+    /// Whether the memory is not another publisher's by now.
+    fn is_of_its_publisher(&self) -> bool {
+        self.head().magic.load(Ordering::Acquire) == MAGIC && gid_of(self.head()) == self.publisher
     }
 
     pub(crate) fn head(&self) -> &PublisherHead {
@@ -506,14 +516,32 @@ impl View {
     }
 
     /// The connection of a subscription, if the publisher's participant has made one.
-    pub(crate) fn find(&self, subscription: Gid) -> Option<Connection> {
+    ///
+    /// # Errors
+    /// [`Moved`]: it may be in a directory that replaced this one.
+    pub(crate) fn find(&self, subscription: Gid) -> Result<Option<Connection>, Moved> {
         // Acquire: pairs with the Release in `PublisherControl::enter`.
-        let entries = directory(&self.parts, self.head().directory.load(Ordering::Acquire))?;
+        self.find_in(self.head().directory.load(Ordering::Acquire), subscription)
+    }
+
+    fn find_in(&self, word: u64, subscription: Gid) -> Result<Option<Connection>, Moved> {
         let wanted = key(subscription);
-        entries.iter().filter(|entry| entry.key.load(Ordering::Relaxed) == wanted).find_map(|entry| {
-            let (map, at) = find(&self.parts, entry.block.load(Ordering::Acquire))?;
+        let mut entries = directory(&self.parts, word).ok_or(Moved)?.iter();
+        // What overwrote an entry is refused by its magic and gid.
+        let found = entries.find_map(|entry| {
+            let is_wanted = entry.key.load(Ordering::Relaxed) == wanted;
+            let (map, at) = find(&self.parts, is_wanted.then(|| entry.block.load(Ordering::Acquire))?)?;
             Connection::open(map, at).filter(|connection| connection.subscription() == subscription)
-        })
+        });
+        // Orders the loads above before the one below.
+        fence(Ordering::Acquire);
+        let is_same = self.head().directory.load(Ordering::Relaxed) == word;
+        match found {
+            // The publisher's GID was written before the entry that was found.
+            Some(_) if !self.is_of_its_publisher() => Ok(None),
+            None if !is_same => Err(Moved),
+            found => Ok(found),
+        }
     }
 
     pub(crate) fn connections(&self) -> Vec<Connection> {
@@ -551,6 +579,10 @@ mod tests {
         View::open(first, map, of).unwrap()
     }
 
+    fn found(view: &View, subscription: u64) -> Option<Connection> {
+        view.find(gid(subscription)).ok().flatten()
+    }
+
     fn map_missing(view: &mut View, peer: &Peer) {
         for range in view.missing() {
             let map = peer.map(range, true).unwrap().unwrap();
@@ -577,18 +609,18 @@ mod tests {
         let peer = Peer::open(220, memory.id()).unwrap().unwrap();
         let mut control = PublisherControl::create(&memory, gid(1)).unwrap();
         let mut early = view(&peer, control.place(), gid(1));
-        assert!(early.find(gid(100)).is_none());
+        assert!(found(&early, 100).is_none());
         let mut made: Vec<_> =
             (100..1100).map(|n| control.connect(gid(n), SHAPE, 10).map(|made| (n, made)).unwrap()).collect();
         let mut late = view(&peer, control.place(), gid(1));
         for view in [&mut early, &mut late] {
             map_missing(view, &peer);
             for (n, (connection, _)) in &made {
-                let found = view.find(gid(*n)).unwrap();
+                let found = found(view, *n).unwrap();
                 connection.block().out.sent.store(*n, Ordering::Relaxed);
                 assert_eq!(found.block().out.sent.load(Ordering::Relaxed), *n);
             }
-            assert!(view.find(gid(99)).is_none());
+            assert!(found(view, 99).is_none());
             assert_eq!(view.connections().len(), 1000);
         }
         for (range, _) in control.parts() {
@@ -613,6 +645,44 @@ mod tests {
         control.release();
         let map = peer.map(place, true).unwrap().unwrap();
         assert!(View::open(place, map, gid(1)).is_none(), "it is nobody's");
+        memory.retire();
+    }
+
+    #[test]
+    fn a_connection_of_the_publisher_that_has_the_memory_now_is_not_found() {
+        isolated();
+        let _domain = Domain::join(65).unwrap();
+        let memory = Arc::new(OwnMemory::create(65).unwrap());
+        memory.create_arena();
+        let peer = Peer::open(65, memory.id()).unwrap().unwrap();
+        let former = PublisherControl::create(&memory, gid(1)).unwrap();
+        let (place, view) = (former.place(), view(&peer, former.place(), gid(1)));
+        former.release();
+        let mut next = PublisherControl::create(&memory, gid(3)).unwrap();
+        assert_eq!(next.place(), place);
+        let _made = next.connect(gid(2), SHAPE, 0).unwrap();
+        assert!(found(&view, 2).is_none());
+        memory.retire();
+    }
+
+    #[test]
+    fn what_is_missed_in_a_former_directory_is_looked_for_in_the_next() {
+        isolated();
+        let _domain = Domain::join(163).unwrap();
+        let memory = Arc::new(OwnMemory::create(163).unwrap());
+        memory.create_arena();
+        let peer = Peer::open(163, memory.id()).unwrap().unwrap();
+        let mut control = PublisherControl::create(&memory, gid(1)).unwrap();
+        let mut view = view(&peer, control.place(), gid(1));
+        let mut made: Vec<_> = (2..514).map(|n| control.connect(gid(n), SHAPE, 0).unwrap()).collect();
+        map_missing(&mut view, &peer);
+        let former = view.head().directory.load(Ordering::Acquire);
+        assert!(view.find_in(former, gid(2)).is_ok_and(|found| found.is_some()));
+        // The first takes another directory; the others have the memory of the former one.
+        made.extend((514..540).map(|n| control.connect(gid(n), SHAPE, 0).unwrap()));
+        assert!(view.find_in(former, gid(2)).is_err());
+        map_missing(&mut view, &peer);
+        assert!(found(&view, 2).is_some());
         memory.retire();
     }
 
@@ -648,7 +718,7 @@ mod tests {
         let truth = head.directory.load(Ordering::Relaxed);
         for lie in [0, u64::MAX, 1, truth | 0xffff, truth << 1] {
             head.directory.store(lie, Ordering::Relaxed);
-            assert!(view.find(gid(7)).is_none() || lie == truth | 0xffff, "{lie:x}");
+            assert!(found(&view, 7).is_none() || lie == truth | 0xffff, "{lie:x}");
             let _ = view.connections();
         }
         head.directory.store(truth, Ordering::Relaxed);
@@ -656,7 +726,7 @@ mod tests {
         let block = entry.block.load(Ordering::Relaxed);
         for lie in [u64::MAX, block + 1, block + 64, 8] {
             entry.block.store(lie, Ordering::Relaxed);
-            assert!(view.find(gid(7)).is_none() && view.connections().is_empty(), "{lie:x}");
+            assert!(found(&view, 7).is_none() && view.connections().is_empty(), "{lie:x}");
         }
         for lie in [u64::MAX, 1 << 63, (1 << 40) + 3] {
             head.parts[3].store(lie, Ordering::Relaxed);

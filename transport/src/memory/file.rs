@@ -302,7 +302,11 @@ impl Peer {
 
     /// Whether a participant is alive. For visitors: all participants may have died, with nobody left to clean up after them.
     pub(crate) fn is_alive(domain: u32, id: u64) -> bool {
-        PeerFile::open(path(domain, id), false).is_ok_and(|file| file.is_owned())
+        match PeerFile::open(path(domain, id), false) {
+            Ok(file) => file.is_owned(),
+            // A file that the system does not let this process open is not that of a dead one: opening it states the error.
+            Err(error) => error.source.kind() != std::io::ErrorKind::NotFound,
+        }
     }
 
     pub(crate) fn head(&self) -> &ParticipantHeader {

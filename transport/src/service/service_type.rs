@@ -49,12 +49,13 @@ fn definition_text(service: &str, event: &Definition) -> String {
 
 /// Depth of a client's queue of responses: those that it waits for, and as many that it no longer waits for.
 pub(crate) const RESPONSES_DEPTH: usize = 2 * MAX_PENDING_REQUESTS;
-/// Responses that a client's user can hold, besides those that wait in the table of pending requests.
+/// Responses that a client's user can hold at least, besides those that wait in the table of pending requests.
 const HELD_RESPONSES: usize = 8;
 
 /// The limits of a client's subscription to responses.
 pub(crate) fn response_limits(limits: Limits) -> Limits {
-    Limits { held: MAX_PENDING_REQUESTS + HELD_RESPONSES, ..limits }
+    let held = limits.held.max(HELD_RESPONSES).saturating_add(MAX_PENDING_REQUESTS);
+    Limits { held: held.min(Limits::MAX_HELD), ..limits }
 }
 
 /// The topics of a service's requests and responses.

@@ -14,6 +14,7 @@ use crate::graph::remote::RemoteGraph;
 use crate::memory::file::OwnMemory;
 use crate::topic::matching::Matcher;
 use iceoryx2_log::{LogLevel, set_log_level};
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 use tautline_doorbell::{Doorbell, Slot};
 use tautline_rt::{AtExit, at_exit};
@@ -61,6 +62,8 @@ impl Drop for Membership {
         if self.matcher.is_awaited() {
             return;
         }
+        // For those who have read a record that was rewritten since, and find no file any more: it leaves nothing.
+        self.memory.head().record.store(0, Ordering::Release);
         self.domain.remove(self.memory.id());
         if self.record.is_relay() {
             // The announcements of other hosts' endpoints disappear with the relay, which may concern any participant.

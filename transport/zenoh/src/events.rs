@@ -3,7 +3,7 @@
 
 use crate::origin::ended_tag;
 use crate::wire::{MAX_KEY_BYTES, TypeId};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc;
 use tautline_relay::Event;
 use zenoh::query::Query;
@@ -57,14 +57,30 @@ pub(crate) fn cut(key: &str) -> String {
     key[..end].to_owned()
 }
 
-/// Whether a gateway of this process dropped an event. Shared by all of them: an unnecessary resync does no harm.
-static MISSED: AtomicBool = AtomicBool::new(false);
+/// How often a gateway of this process dropped events. Shared by all of them: an unnecessary resync does no harm.
+static MISSED: AtomicU64 = AtomicU64::new(0);
 
 pub(crate) fn set_missed() {
-    MISSED.store(true, Ordering::Relaxed);
+    MISSED.fetch_add(1, Ordering::Relaxed);
 }
 
-/// Whether an event was dropped since the last call.
-pub(crate) fn take_missed() -> bool {
-    MISSED.swap(false, Ordering::Relaxed)
+/// Whether events were dropped since `seen`, which is updated.
+pub(crate) fn is_missed(seen: &mut u64) -> bool {
+    let now = MISSED.load(Ordering::Relaxed);
+    std::mem::replace(seen, now) != now
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_gateway_of_a_process_sees_what_was_missed_once() {
+        let (mut one, mut other) = (0, 0);
+        is_missed(&mut one);
+        is_missed(&mut other);
+        set_missed();
+        assert!(is_missed(&mut one) && is_missed(&mut other));
+        assert!(!is_missed(&mut one) && !is_missed(&mut other));
+    }
 }

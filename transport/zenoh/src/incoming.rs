@@ -202,7 +202,7 @@ impl Requests {
         let publishers = format!("{}/@adv/pub/**", self.key);
         let (coming, beating) = (self.clone(), self.clone());
         let tokens = self.session.liveliness().declare_subscriber(publishers.clone());
-        let tokens = tokens.callback(move |token| coming.send(coming.appeared(&token))).wait()?;
+        let tokens = tokens.callback(move |token| coming.send(coming.token(&token))).wait()?;
         let numbers = self.session.declare_subscriber(publishers.clone()).allowed_origin(Locality::Remote);
         let numbers = numbers.callback(move |number| beating.send(beating.heartbeat(&number))).wait()?;
         let start = Start { requests: self.clone(), found: PiMutex::default() };
@@ -211,23 +211,26 @@ impl Requests {
         Ok([tokens, numbers])
     }
 
-    fn publisher(&self, sample: &Sample) -> Option<Publisher> {
-        let publisher = Publisher::of_token(sample.key_expr().as_str(), self.session.zid());
-        publisher.filter(|_| sample.kind() == SampleKind::Put)
-    }
-
     fn with_kept(&self, act: impl FnOnce(&mut KeptSamples<Sample>) -> Option<Request>) -> Option<Request> {
         self.gate.upgrade()?.with(|way| act(way.kept.as_mut()?))
     }
 
-    fn appeared(&self, token: &Sample) -> Option<Request> {
-        let publisher = self.publisher(token)?;
-        self.with_kept(|kept| kept.appeared(publisher))
+    /// Handles a publisher's token, which appeared or ended.
+    fn token(&self, token: &Sample) -> Option<Request> {
+        let publisher = Publisher::of_token(token.key_expr().as_str(), self.session.zid())?;
+        self.with_kept(|kept| match token.kind() {
+            SampleKind::Put => kept.appeared(publisher),
+            SampleKind::Delete => {
+                kept.ended(publisher);
+                None
+            }
+        })
     }
 
     /// Handles a heartbeat, which has the number of a publisher's last sample.
     fn heartbeat(&self, sample: &Sample) -> Option<Request> {
-        let (publisher, number) = (self.publisher(sample)?, z_deserialize::<u32>(sample.payload()).ok()?);
+        let publisher = Publisher::of_token(sample.key_expr().as_str(), self.session.zid())?;
+        let number = z_deserialize::<u32>(sample.payload()).ok()?;
         self.with_kept(|kept| kept.heartbeat(publisher, number))
     }
 
@@ -258,7 +261,7 @@ struct Start {
 
 impl Start {
     fn add(&self, token: &Sample) {
-        let request = self.requests.appeared(token);
+        let request = self.requests.token(token);
         self.found.lock().extend(request);
     }
 }

@@ -171,6 +171,13 @@ impl<S: Placed> KeptSamples<S> {
         self.request(publisher, What::Last(self.depth))
     }
 
+    /// Its successor in the session has to answer for itself.
+    pub(crate) fn ended(&mut self, publisher: Publisher) {
+        if let Some(state) = self.publishers.get_mut(&publisher) {
+            state.is_answered = false;
+        }
+    }
+
     fn request(&mut self, publisher: Publisher, what: What) -> Option<Request> {
         let most = self.most(publisher);
         let state = self.state(publisher).filter(|state| state.requests < Self::REQUESTS)?;
@@ -363,7 +370,8 @@ impl<S: Placed> PublisherState<S> {
             self.deliver(publisher, number, sample, deliver);
             self.is_answered = true;
         }
-        self.is_whole = true;
+        // Without any, the publisher may not have been reached.
+        self.is_whole |= self.is_answered;
         late
     }
 
@@ -547,6 +555,27 @@ mod tests {
         let late = Publisher([1; 16], Some(9));
         assert_eq!(published(&mut kept, late, &[3]), [3]);
         assert_eq!(by_session(&mut kept, &[(late, 2), (late, 3)]), (vec![], 1));
+    }
+
+    #[test]
+    fn a_publisher_that_has_ended_does_not_answer_for_its_successor() {
+        let mut kept = kept(3);
+        assert!(kept.appeared(ONE).is_some());
+        answered(&mut kept, ONE, &[1]);
+        kept.ended(ONE);
+        assert!(kept.appeared(OTHER).is_some());
+        answered(&mut kept, OTHER, &[]);
+        assert_eq!(kept.missing(&[(ONE.0, 1)].into()).len(), 1);
+    }
+
+    #[test]
+    fn kept_samples_that_only_a_retry_brings_are_counted_if_they_are_late() {
+        let mut kept = kept(5);
+        assert!(kept.appeared(ONE).is_some());
+        answered(&mut kept, ONE, &[]);
+        assert_eq!(published(&mut kept, ONE, &[6]), [6]);
+        let answer = (2..=6).map(|number| Some((ONE, number))).collect();
+        assert_eq!(kept.answered_by_session(answer, &mut |_| panic!("6 was delivered")), 4);
     }
 
     #[test]

@@ -42,6 +42,8 @@ pub(crate) struct NetworkSide {
     declared: HashMap<String, LivelinessToken>,
     /// Announcements of publishers' ends, kept until other hosts have received them.
     ended: VecDeque<(Instant, LivelinessToken)>,
+    /// Dropped events that a resync was made for.
+    seen_missed: u64,
     options: Options,
     participant: Participant,
     session: Session,
@@ -73,12 +75,13 @@ impl NetworkSide {
         let host = tautline_rt::host::name();
         let transit = Transit::to_network(participant.domain_id(), participant.id(), zid, &host);
         let transit = transit.going_on(options.transit);
-        let (incoming, declared, ended, changes, undescribed) = Default::default();
+        let (incoming, declared, ended, seen_missed, changes, undescribed) = Default::default();
         let side = NetworkSide {
             incoming,
             claims,
             declared,
             ended,
+            seen_missed,
             graph: Graph::new(domain, zid, options.limits),
             is_unseen: true,
             tokens: Tokens::new(domain, zid),
@@ -155,7 +158,11 @@ impl NetworkSide {
         let answer = {
             let room = room.clone();
             move |reply: Reply| {
-                let Ok(sample) = reply.result() else { return };
+                let Ok(sample) = reply.result() else {
+                    // The time-out: what did not answer may be there, so nothing is removed, and all is requested again.
+                    room.store(0, Ordering::Relaxed);
+                    return events::set_missed();
+                };
                 let count = |room: usize| room.checked_sub(1);
                 if room.fetch_update(Ordering::Relaxed, Ordering::Relaxed, count).is_ok() {
                     let _ = answers.send(cut(sample.key_expr().as_str()));
@@ -279,7 +286,7 @@ impl FarSide for NetworkSide {
     }
 
     fn tick(&mut self, _: &mut Writers<Writer>) -> bool {
-        let is_missed = events::take_missed();
+        let is_missed = events::is_missed(&mut self.seen_missed);
         if is_missed {
             self.resync();
         }

@@ -48,6 +48,23 @@ fn a_burst_of_a_new_publisher_arrives() {
     assert!(numbers(&subscription, COUNT).into_iter().eq(0..COUNT));
 }
 
+/// A node that sends its result and exits. A subscription of the gateway may hold only few samples in place.
+#[test]
+fn large_samples_of_a_publisher_that_ends_arrive() {
+    const COUNT: u8 = 20;
+    let a = Host::first(181, 181);
+    let b = Host::beside(&a, 202);
+    let qos = Qos::keep_last(usize::from(COUNT));
+    let publisher = a.publisher("/image", &string_type(), qos);
+    let subscription = b.subscription("/image", &string_type(), qos);
+    connect(&publisher, &[&subscription], b"probe");
+    for n in 0..COUNT {
+        publisher.publish(&vec![n; 1 << 20]).unwrap();
+    }
+    drop(publisher);
+    assert!((0..COUNT).map(|_| take(&subscription).body()[0]).eq(0..COUNT));
+}
+
 #[test]
 fn between_ends_that_keep_all_nothing_is_lost() {
     const COUNT: u64 = 5000;

@@ -206,7 +206,13 @@ pub fn run(args: &RecordArgs) -> Outcome {
     }
     let pause = Pause { wanted: flag(args.paused), is_paused: flag(args.paused) };
     let asked = flag(false);
-    listen(if args.black_box.is_some() { &asked } else { &pause.wanted })?;
+    // Two requests at once are one, unlike two toggles.
+    match args.black_box {
+        Some(_) => listen(&asked, |asked| asked.store(true, Ordering::Relaxed))?,
+        None => listen(&pause.wanted, |wanted| {
+            wanted.fetch_xor(true, Ordering::Relaxed);
+        })?,
+    }
     // Memory is locked before the first message.
     if let Err(error) = rt::lock_memory(MemoryLock::OnFault) {
         say(&format!("taut: warning: the buffers are not locked into memory: {error}"));
@@ -358,11 +364,9 @@ pub fn progress(json: bool) -> ProgressBar {
 }
 
 /// Makes SIGUSR1 and the enter key pause or resume the recording, or request that the black box is written.
-fn listen(toggled: &Arc<AtomicBool>) -> Outcome {
-    let toggled = toggled.clone();
-    let handle = move || {
-        toggled.fetch_xor(true, Ordering::Relaxed);
-    };
+fn listen(flag: &Arc<AtomicBool>, change: fn(&AtomicBool)) -> Outcome {
+    let flag = flag.clone();
+    let handle = move || change(&flag);
     let mut signals = signal_hook::iterator::Signals::new([signal_hook::consts::SIGUSR1])
         .map_err(|error| Failure::unusable(format!("SIGUSR1 cannot be caught: {error}")))?;
     let on_signal = handle.clone();

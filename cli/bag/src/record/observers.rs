@@ -93,8 +93,7 @@ pub struct Observers {
     numbers: HashMap<String, Vec<usize>>,
     /// Topics that cannot be recorded.
     refused: BTreeSet<String>,
-    /// Publishers that were there when the recording began.
-    before: HashSet<Gid>,
+    before: Before,
     /// Types without a known definition, of which the user was warned.
     unknown: HashSet<String>,
     /// Topics whose publishers are on other hosts, of which the user was warned.
@@ -103,6 +102,19 @@ pub struct Observers {
     to_writer: Sender<Announced>,
     /// Publishers that were announced to the writer.
     announced: HashSet<(usize, Gid)>,
+}
+
+/// Publishers that may have sent messages before the recording began, which are not missed.
+pub struct Before {
+    publishers: HashSet<Gid>,
+    /// Participants that carry other hosts' topics, through ports that the graph does not list.
+    relays: HashSet<u64>,
+}
+
+impl Before {
+    pub fn contains(&self, publisher: Gid) -> bool {
+        self.publishers.contains(&publisher) || self.relays.contains(&publisher.participant())
+    }
 }
 
 /// The other threads' ends of the channels. A topic is announced to the writer before the reader gets the observer of the same number.
@@ -118,7 +130,8 @@ impl Observers {
         let publishers = graph.endpoints.iter().filter(|end| end.kind == EndpointKind::Publisher);
         // Clients publish requests.
         let clients = graph.services.iter().map(|end| end.gid);
-        let before = publishers.map(|end| end.gid).chain(clients).collect();
+        let publishers = publishers.map(|end| end.gid).chain(clients).collect();
+        let before = Before { publishers, relays: HashSet::new() };
         let ((to_taker, observers), (to_writer, announced)) = (channel(), channel());
         let here = Observers {
             participant,
@@ -168,6 +181,8 @@ impl Observers {
         let of_topics = graph.endpoints.iter().filter_map(|end| end.pid);
         self.processes = of_topics.chain(graph.services.iter().filter_map(|end| end.pid)).collect();
         self.processes.remove(&std::process::id());
+        let relays = graph.endpoints.iter().map(|end| end.teller);
+        self.before.relays.extend(relays.chain(graph.services.iter().map(|end| end.teller)).flatten());
         let mut topics: BTreeMap<&str, Vec<&TopicEndpoint>> = BTreeMap::new();
         graph.endpoints.iter().for_each(|end| topics.entry(&end.topic).or_default().push(end));
         for (topic, ends) in topics {
@@ -362,8 +377,8 @@ impl Observers {
         format!("{topics} topics, {messages} messages, {megabytes:.1} MB, {lost} lost")
     }
 
-    /// Topics in the order of their numbers; publishers that were there before; names of chosen topics that were not recorded.
-    pub fn end(self) -> (Vec<RecordedTopic>, HashSet<Gid>, Vec<String>) {
+    /// Topics in the order of their numbers; publishers that may have been there before; names of chosen topics that were not recorded.
+    pub fn end(self) -> (Vec<RecordedTopic>, Before, Vec<String>) {
         let named = self.choice.named().iter().filter(|name| !self.numbers.contains_key(*name));
         let absent = named.chain(&self.refused).cloned().collect::<BTreeSet<_>>();
         (self.topics, self.before, absent.into_iter().collect())

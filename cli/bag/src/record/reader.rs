@@ -242,6 +242,7 @@ impl Reader {
                 let is_wanted = place.held.is_some();
                 let Some(sample) = place.next(until_ns) else { break };
                 took = true;
+                place.port_of(&sample);
                 if !is_wanted && !place.wants(&sample, is_paused) {
                     continue;
                 }
@@ -367,29 +368,26 @@ impl Place {
         self.taken.bytes += bytes;
         self.counts.messages.store(self.taken.messages, Ordering::Relaxed);
         self.counts.bytes.store(self.taken.bytes, Ordering::Relaxed);
-        let (gid, released_ns) = (sample.port_gid(), sample.info().released_ns);
-        let port = match self.taken.ports.iter().position(|port| port.gid == gid) {
-            Some(at) => &mut self.taken.ports[at],
-            None => {
-                let first = sample.port_sequence_number();
-                self.taken.ports.push(Port {
-                    gid,
-                    first,
-                    last: 0,
-                    peak: 0,
-                    second_ns: released_ns,
-                    in_second: 0,
-                });
-                let last = self.taken.ports.len() - 1;
-                &mut self.taken.ports[last]
-            }
-        };
+        let released_ns = sample.info().released_ns;
+        let port = self.port_of(sample);
         if released_ns.saturating_sub(port.second_ns) >= 1_000_000_000 {
             (port.second_ns, port.in_second) = (released_ns, 0);
         }
         port.last = sample.port_sequence_number();
         port.in_second += 1;
         port.peak = port.peak.max(port.in_second);
+    }
+
+    /// The port that sent a message. Its first one may be left out of the bag: it was not missed.
+    fn port_of(&mut self, sample: &RawSample) -> &mut Port {
+        let (gid, first) = (sample.port_gid(), sample.port_sequence_number());
+        let ports = &mut self.taken.ports;
+        let at = ports.iter().position(|port| port.gid == gid).unwrap_or_else(|| {
+            let second_ns = sample.info().released_ns;
+            ports.push(Port { gid, first, last: 0, peak: 0, second_ns, in_second: 0 });
+            ports.len() - 1
+        });
+        &mut ports[at]
     }
 }
 

@@ -34,10 +34,10 @@ struct Row {
 }
 
 impl Row {
-    fn new(topic: RecordedTopic, taken: Taken, before: &HashSet<Gid>) -> Self {
+    fn new(topic: RecordedTopic, taken: Taken, before: &Before) -> Self {
         // Responses have the numbers of the clients that they go to.
         let is_counted = topic.part != Part::Response;
-        let new = taken.ports.iter().filter(|port| is_counted && !before.contains(&port.gid));
+        let new = taken.ports.iter().filter(|port| is_counted && !before.contains(port.gid));
         let missed = new.map(|port| port.first.saturating_sub(1)).sum();
         let peak = taken.ports.iter().map(|port| port.peak).max().unwrap_or(0);
         Row { topic, taken, missed, peak }

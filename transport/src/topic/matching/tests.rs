@@ -110,11 +110,23 @@ fn a_publisher_is_awaited_until_what_it_sends_from_can_be_reached() {
     });
     assert_eq!(subscription.expected(), 0);
     assert!(!publisher.is_awaited(all), "it has found everything");
-    publisher.lengthen(1 << 16).unwrap();
+    publisher.lengthen(1 << 16, true).unwrap();
     one.matcher.announce_segments(&publisher);
     assert!(publisher.is_awaited(all), "there is a segment that it has not mapped");
     other.matcher.refresh();
     assert!(!publisher.is_awaited(all));
+}
+
+#[test]
+fn samples_that_the_publishing_thread_may_loan_stay() {
+    let one = Party::join(55);
+    let (publisher, _live) = one.publisher();
+    publisher.lengthen(1 << 16, false).unwrap();
+    publisher.settle();
+    let segments = || publisher.segment_views().0.iter().flatten().count();
+    assert_eq!(segments(), 2, "it has not read that there are longer ones");
+    publisher.lengthen(1 << 17, true).unwrap();
+    assert_eq!(segments(), 1);
 }
 
 #[test]

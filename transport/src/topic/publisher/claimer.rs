@@ -17,11 +17,12 @@ pub struct MemoryClaimer {
     pub(super) participant: Arc<ParticipantState>,
 }
 
-/// As [`MemoryClaimer`], but borrowed from a publisher that outlives it: the publishing thread drops nothing.
+/// As [`MemoryClaimer`], but borrowed from a publisher that outlives it: the publishing thread, if it is that, drops nothing.
 pub(super) struct Claiming<'p> {
     pub(super) core: &'p Arc<PublisherCore>,
     pub(super) counters: &'p PublisherCounters,
     pub(super) participant: &'p ParticipantState,
+    pub(super) is_publishing: bool,
 }
 
 impl MemoryClaimer {
@@ -34,7 +35,7 @@ impl MemoryClaimer {
     /// [`LoanError::OutOfMemory`]: there is no shared memory for it, or as many samples are in use as there can be.
     pub fn claim(&self, len_bytes: usize) -> Result<(), LoanError> {
         let MemoryClaimer { core, counters, participant } = self;
-        let claiming = Claiming { core, counters, participant };
+        let claiming = Claiming { core, counters, participant, is_publishing: false };
         claiming.lengthen(len_bytes)?;
         claiming.claim_more()
     }
@@ -42,7 +43,7 @@ impl MemoryClaimer {
 
 impl Claiming<'_> {
     pub(super) fn lengthen(&self, len_bytes: usize) -> Result<usize, LoanError> {
-        self.announce(self.core.lengthen(len_bytes))
+        self.announce(self.core.lengthen(len_bytes, self.is_publishing))
     }
 
     pub(super) fn claim_more(&self) -> Result<(), LoanError> {

@@ -543,7 +543,7 @@ impl<'p> RawLoan<'p> {
     /// Each poll as [`publish`](Self::publish); woken through this process's sampler when a subscription has taken.
     ///
     /// # Errors
-    /// [`PublishError::Loan`]: out of memory.
+    /// [`PublishError::Loan`]: out of memory, or the publisher's node has ended.
     pub async fn publish_when_ready(self) -> Result<(), PublishError> {
         let mut waiting = Some(self);
         poll_fn(|context| {
@@ -551,6 +551,10 @@ impl<'p> RawLoan<'p> {
             loan.publisher.core.slot.waker().register(context.waker());
             match loan.publish_with(Sending { when_full: WhenFull::Ask, ..Sending::of(Stamp::Now) }) {
                 Ok(()) => Poll::Ready(Ok(())),
+                // The end of its node wakes this task.
+                Err(SendError { error: PublishError::Full, loan }) if loan.publisher.core.slot.is_retired() => {
+                    Poll::Ready(Err(LoanError::Ended.into()))
+                }
                 Err(SendError { error: PublishError::Full, loan }) => {
                     waiting = Some(loan);
                     Poll::Pending

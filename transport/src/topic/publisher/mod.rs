@@ -148,7 +148,8 @@ impl RawPublisher {
     }
 
     fn claiming(&self) -> Claiming<'_> {
-        Claiming { core: &self.core, counters: &self.counters, participant: &self.participant }
+        let (core, counters, participant) = (&self.core, &self.counters, &self.participant);
+        Claiming { core, counters, participant, is_publishing: true }
     }
 
     /// The setup part, for the publisher's monitor.

@@ -115,10 +115,10 @@ pub(crate) struct WriterEntry {
 
 /// A borrowed sample: it returns to its publisher when it is dropped.
 pub(crate) struct BorrowedChunk {
+    /// Keeps the sample's segment mapped. Dropped before the receiver: set-up code keeps the mapping as long as others have the receiver.
+    _map: Arc<Mapping>,
     receiver: Arc<Receiver>,
     chunk: u64,
-    /// Keeps the sample's segment mapped.
-    _map: Arc<Mapping>,
 }
 
 impl BorrowedChunk {

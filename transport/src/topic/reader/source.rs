@@ -32,7 +32,7 @@ impl PublisherMemory {
     ) -> Result<Option<Connection>, TransportError> {
         match self {
             // Handed over to the publishing thread before the caller that attaches it releases the lock.
-            PublisherMemory::Own(core) => Ok(core.view().and_then(|view| view.find(subscription))),
+            PublisherMemory::Own(core) => Ok(core.view().and_then(|view| view.find(subscription).ok()?)),
             PublisherMemory::Peer(peer) => {
                 let connection = peer.connection(subscription)?;
                 Ok(connection.filter(|connection| has_gone || connection.block().out.is_served()))
@@ -92,8 +92,14 @@ impl PeerPublisher {
 
     fn connection(&self, subscription: Gid) -> Result<Option<Connection>, TransportError> {
         let mut state = self.state();
-        self.map_parts(&mut state.view)?;
-        Ok(state.view.find(subscription))
+        // Each directory is twice as large as the one that it replaces.
+        for _ in 0..u64::BITS {
+            self.map_parts(&mut state.view)?;
+            if let Ok(found) = state.view.find(subscription) {
+                return Ok(found);
+            }
+        }
+        Ok(None)
     }
 
     fn map_parts(&self, view: &mut View) -> Result<(), TransportError> {

@@ -86,6 +86,9 @@ struct Setup {
     /// The size of the samples that are loaned. There may also be segments with shorter samples, until none
     /// of these is in use.
     sample_bytes: usize,
+    /// `sample_bytes` of the table that was handed over last, and of one that the publishing thread has read, or of an older one.
+    handed_bytes: usize,
+    read_bytes: usize,
     /// The segments have changed since this was last checked.
     has_grown: bool,
     /// Views of the segments, with the number of changes at which they were made.
@@ -100,6 +103,14 @@ struct Setup {
     endpoints: Endpoints,
     table: LatestWriter<Arc<ReaderTable>>,
     is_stale: bool,
+}
+
+impl Setup {
+    fn note_read(&mut self) {
+        if self.table.is_read() {
+            self.read_bytes = self.read_bytes.max(self.handed_bytes);
+        }
+    }
 }
 
 /// A subscription as its record describes it.
@@ -141,6 +152,8 @@ impl PublisherCore {
             control: Some(control),
             pool: Pool::default(),
             sample_bytes,
+            handed_bytes: sample_bytes,
+            read_bytes: sample_bytes,
             proxies: Chunks::default(),
             unserved: Vec::new(),
             retired: 0,
@@ -370,7 +383,8 @@ impl PublisherCore {
     }
 
     /// Makes samples as long as a message of `len_bytes`, longer than all before, needs, or twice that at most. Returns their length.
-    pub(crate) fn lengthen(&self, len_bytes: usize) -> io::Result<usize> {
+    /// `is_publishing`: this is the publishing thread, which loans no shorter samples from now on.
+    pub(crate) fn lengthen(&self, len_bytes: usize, is_publishing: bool) -> io::Result<usize> {
         let mut setup = self.setup();
         let (before, wanted) = (setup.sample_bytes, grown_sample_bytes(len_bytes));
         if wanted <= before || setup.control.is_none() {
@@ -381,15 +395,19 @@ impl PublisherCore {
             setup.sample_bytes = before;
             return Err(io::Error::other(error.to_string()));
         }
+        if is_publishing {
+            setup.read_bytes = wanted;
+        }
         self.forget_short_segments(&mut setup);
         self.hand_over(&mut setup);
         Ok(wanted)
     }
 
-    /// Releases the segments of shorter samples of which none is in use.
+    /// Releases the segments of shorter samples of which none is in use, and from which the publishing thread loans no more.
     fn forget_short_segments(&self, setup: &mut Setup) {
+        setup.note_read();
         let is_short =
-            |segment: &&Arc<Segment>| segment.sample_bytes() < setup.sample_bytes && segment.is_unused();
+            |segment: &&Arc<Segment>| segment.sample_bytes() < setup.read_bytes && segment.is_unused();
         let short: Vec<_> = setup.pool.segments().filter(is_short).cloned().collect();
         for segment in short {
             setup.views = None;
@@ -553,6 +571,8 @@ impl PublisherCore {
                 }
             }
         }
+        setup.note_read();
+        setup.handed_bytes = setup.sample_bytes;
         let in_turn = Window::of_machine().in_turn(setup.sample_bytes);
         let in_turn = if in_turn > 1 && is_on_one_core(&setup.proxies) { 1 } else { in_turn };
         let table = ReaderTable {
