@@ -475,10 +475,13 @@ impl<'a> Level<'a> {
     /// Computes the utilisation, without the demand of its own thread as others see it.
     fn with_utilisation(mut self) -> Result<Self, AnalysisError> {
         let gap = self.gap.iter().map(Demand::utilisation);
-        let mut all =
-            self.curves().map(|curve| Some(curve.utilisation)).chain(gap).chain([Some(self.own.utilisation)]);
-        let all = all.try_fold(0, |sum: u128, part| sum.checked_add(part?));
-        let all = all.ok_or_else(|| overflow(self.task))?;
+        let all = self
+            .curves()
+            .map(|curve| Some(curve.utilisation))
+            .chain(gap)
+            .chain([Some(self.own.utilisation)])
+            .try_fold(0, |sum: u128, part| sum.checked_add(part?))
+            .ok_or_else(|| overflow(self.task))?;
         let own = self.members.iter().map(|i| self.core.delays[*i].utilisation());
         self.utilisation = all - own.sum::<Option<u128>>().ok_or_else(|| overflow(self.task))?;
         Ok(self)

@@ -29,8 +29,8 @@ use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic, wall_ns};
 use tautline_rt::{self as rt, CoreSet, Policy, ThreadBuilder};
 use tautline_schema::{DynamicMessage, Kind};
 use tautline_transport::{
-    EndpointKind, Gid, Limits, Origin, Participant, Publisher, RawPublisher, RemoteGraph, ServiceKind, ServiceType,
-    TopicEndpoint, TopicType, Visitor,
+    EndpointKind, Gid, Limits, NodeName, Origin, Participant, Publisher, RawPublisher, RemoteGraph,
+    ServiceKind, ServiceType, TopicEndpoint, TopicType, Visitor,
 };
 use tempfile::TempDir;
 
@@ -551,21 +551,28 @@ fn the_past_of_another_hosts_topic_is_not_lost() {
         topic_type: TopicType::of::<Count>(),
         gid: Gid([9; 16]),
         qos: Qos::default(),
-        node: None,
+        node: Some(NodeName { namespace: "/".into(), name: "far".into() }),
         pid: None,
         is_remote: true,
         is_own: false,
-        origin: Origin::default(),
+        origin: Origin { tag: Gid([9; 16]).tag(), ..Origin::default() },
         teller: None,
     };
-    gateway.participant.set_remote(&RemoteGraph { endpoints: vec![remote], ..RemoteGraph::default() }).unwrap();
+    gateway
+        .participant
+        .set_remote(&RemoteGraph { endpoints: vec![remote], ..RemoteGraph::default() })
+        .unwrap();
     (1..=100).for_each(|n| port.publish(&Count { n }).unwrap());
-    let recorder = place.record(&["/far", "--json"]);
-    place.wait_for_observer(port.gid());
-    port.publish(&Count { n: 101 }).unwrap();
+    let recorder = place.record(&["/far", "--depth", "2000", "--json"]);
+    // Nobody sees when the recorder is connected to such a port.
+    let start_ns = monotonic_ns();
+    for n in 0..1000 {
+        sleep_until_monotonic(start_ns + n * 1_000_000);
+        port.publish(&Count { n: 101 + n }).unwrap();
+    }
     let (code, out, errors) = recorder.end();
     assert_eq!(code, 0, "{errors}{out}");
-    assert_eq!(numbers(&place.read()["/far"]), [101]);
+    assert_eq!(numbers(&place.read()["/far"]).last(), Some(&1100));
 }
 
 /// Each publisher's last message is in the bag though the recorder began with a pause, in a channel of the publisher; a topic without

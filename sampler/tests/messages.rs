@@ -13,7 +13,7 @@ use std::time::Duration;
 use support::{Count, Part, domain, say, wait_for_the_end};
 use tautline_rt::ThreadBuilder;
 use tautline_sampler::Sampler;
-use tautline_transport::{LoanError, Limits, Participant, PublishError, Publisher, Qos, Subscription};
+use tautline_transport::{Limits, LoanError, Participant, PublishError, Publisher, Qos, Subscription};
 
 fn publisher(participant: &Participant, qos: Qos) -> Publisher<Count> {
     participant.create_publisher("/messages", qos, Limits::default()).unwrap()

@@ -141,7 +141,10 @@ fn verdict(comparison: &Comparison, run: &Run, out: &mut impl Write) -> io::Resu
         (all, running) => format!("{all} processes, {} of them ended", all - running),
     };
     if comparison.verdict == Verdict::Nothing {
-        return writeln!(out, "Nothing to compare: no job of a callback of the file has ended yet ({processes}).");
+        return writeln!(
+            out,
+            "Nothing to compare: no job of a callback of the file has ended yet ({processes})."
+        );
     }
     if comparison.verdict == Verdict::Kept {
         let text = format!("Kept: no assumption of the analysis was violated in {jobs} jobs ({processes}).");

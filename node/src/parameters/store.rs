@@ -257,7 +257,9 @@ impl Parameters {
             let (mut fields, mut set) = (of_struct.among(&values), lock(&of_struct.value));
             fields.try_for_each(|(name, value)| {
                 // The program may have changed the field: readers have that value.
-                if let (Ok(now), Some(of_map)) = (set.get_parameter(name), lock(&self.shared.map).get_mut(name)) {
+                if let (Ok(now), Some(of_map)) =
+                    (set.get_parameter(name), lock(&self.shared.map).get_mut(name))
+                {
                     of_map.value = now;
                 }
                 set.set_parameter(name, value)

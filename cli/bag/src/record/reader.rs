@@ -194,8 +194,10 @@ impl Reader {
             match self.places.get_mut(number) {
                 Some(place) if is_renewed => {
                     let former = std::mem::replace(&mut place.subscription, subscription);
-                    let samples = std::iter::from_fn(|| take(&former));
-                    place.taken.paused += samples.take(MOST_AT_ONCE).count() as u64;
+                    for sample in std::iter::from_fn(|| take(&former)).take(MOST_AT_ONCE) {
+                        place.port_of(&sample);
+                        place.taken.paused += 1;
+                    }
                     place.lost_before += former.counters().lost();
                     place.is_renewed = true;
                 }

@@ -4,17 +4,16 @@
 use super::bag_writer::Written;
 use super::event::Part;
 use super::failed;
-use super::observers::{Observers, RecordedTopic};
+use super::observers::{Before, Observers, RecordedTopic};
 use super::reader::{Harvest, Taken};
 use serde_json::{Value, json};
-use std::collections::{BTreeMap, HashSet};
+use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::path::Path;
 use std::time::Duration;
 use taut_cli::table::write_table;
 use taut_cli::verb::{Failure, Outcome};
 use tautline_bag::BagError;
-use tautline_transport::Gid;
 
 pub struct Statement {
     rows: Vec<Row>,

@@ -552,7 +552,9 @@ impl<'p> RawLoan<'p> {
             match loan.publish_with(Sending { when_full: WhenFull::Ask, ..Sending::of(Stamp::Now) }) {
                 Ok(()) => Poll::Ready(Ok(())),
                 // The end of its node wakes this task.
-                Err(SendError { error: PublishError::Full, loan }) if loan.publisher.core.slot.is_retired() => {
+                Err(SendError { error: PublishError::Full, loan })
+                    if loan.publisher.core.slot.is_retired() =>
+                {
                     Poll::Ready(Err(LoanError::Ended.into()))
                 }
                 Err(SendError { error: PublishError::Full, loan }) => {
