@@ -740,3 +740,22 @@ fn reservations_that_cannot_be_are_refused() {
     assert!(two(["0", "0"]).unwrap_err().to_string().contains("there may be one on a core"));
     assert!(two(["0", "\"any\""]).unwrap_err().to_string().contains("only one of both is on any core"));
 }
+
+/// The ways double with each join of two topics of one publisher.
+#[test]
+fn a_chain_of_too_many_ways_is_refused() {
+    let mut text = "[hosts.h]\ncores = 1\n[nodes.n]\n[callbacks]\n".to_owned();
+    text += "j0 = { period = \"1s\", wcet = \"1us\", publishes = [\"a0\", \"b0\"] }\n";
+    for stage in 1..=40 {
+        let from = stage - 1;
+        writeln!(
+            text,
+            "j{stage} = {{ all = [\"a{from}\", \"b{from}\"], wcet = \"1us\", publishes = [\"a{stage}\", \"b{stage}\"] }}"
+        )
+        .unwrap();
+    }
+    let path: Vec<_> = (0..=40).map(|stage| format!("\"j{stage}\"")).collect();
+    write!(text, "[[chains]]\nname = \"c\"\npath = [{}]\ndeadline = \"1s\"\n", path.join(", ")).unwrap();
+    let refused = SystemFile::parse(&text).unwrap_err().to_string();
+    assert!(refused.contains("chain `c` has more than 4096 ways"), "{refused}");
+}

@@ -23,7 +23,8 @@ pub struct ManArgs {
     folder: PathBuf,
 }
 
-/// Writes the pages of `taut`. The programs of separate verbs write their own pages. If such a program is missing, a page names it.
+/// Writes the pages of `taut`. The programs of separate verbs write their own pages, and those of the gateway and the bridge are their help
+/// texts. If such a program is missing, a page names it.
 pub fn run(args: &ManArgs, command: Command) -> Outcome {
     let mut written = write(args, command, true)?;
     for (sibling, verbs) in WITH_VERBS {
@@ -56,7 +57,10 @@ pub fn run(args: &ManArgs, command: Command) -> Outcome {
 /// Replaces the page of a separate program by one with its help text. `Err`: why it has none.
 fn write_help(args: &ManArgs, sibling: &Sibling) -> Outcome<Result<(), String>> {
     let program = sibling.path();
-    let output = match process::Command::new(&program).arg("--help").output() {
+    let mut command = process::Command::new(&program);
+    // Without colours.
+    command.arg("--help").env_remove("CLICOLOR_FORCE").env("NO_COLOR", "1");
+    let output = match command.output() {
         Ok(output) if output.status.success() => output,
         Ok(output) => return Ok(Err(String::from_utf8_lossy(&output.stderr).trim().to_owned())),
         Err(error) => return Ok(Err(sibling.error(program, error).to_string())),

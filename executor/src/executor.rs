@@ -278,8 +278,8 @@ impl Executor {
         let thread = builder.spawn(move || {
             tautline_trace::register_thread();
             let trace = tautline_trace::callback_init(thread_stats.name());
-            // A busy poller's clock is monotonic, and read at the start of each job.
-            let (stopwatch, spins) = (execution_time.then(|| Stopwatch::new(busy)), !spin.is_zero() && !busy);
+            let stopwatch = execution_time.then(|| Stopwatch::new(busy));
+            let spins = parker.is_some() && !spin.is_zero() && !busy;
             let failed = |error| {
                 // The callback is stopped before its first poll.
                 thread_control.stop();

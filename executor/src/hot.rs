@@ -260,10 +260,12 @@ impl Measured {
         if let Some(account) = &self.account {
             account.abandon();
         }
-        if self.enforcer.as_ref().is_some_and(BudgetEnforcer::end) {
+        let Some(enforcer) = &self.enforcer else { return };
+        if enforcer.end() {
             self.stats.demoted();
         }
-        if let Some(stopwatch) = &self.stopwatch {
+        // The next job's budget counts from here. Without budgets that job is charged what this one used, like everything between jobs.
+        if let Some(stopwatch) = self.stopwatch.as_ref().filter(|_| enforcer.running.get() == 0) {
             stopwatch.lap(monotonic_ns(), true);
         }
     }
@@ -525,8 +527,10 @@ impl Drop for Job {
     fn drop(&mut self) {
         if self.begun.is_some() {
             current(|thread| {
-                let measured = thread.measured.as_ref().filter(|_| thread.address() == self.thread);
-                measured.map(Measured::abandon)
+                if let Some(measured) = thread.measured.as_ref().filter(|_| thread.address() == self.thread) {
+                    thread.input_size.take();
+                    measured.abandon();
+                }
             });
         }
     }

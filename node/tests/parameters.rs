@@ -339,6 +339,7 @@ fn a_struct_is_checked_and_may_be_changed_by_the_program() {
     let of_struct = Arc::new(Mutex::new(Controller::default()));
     let refused = reason(parameters.declare_struct(of_struct.clone()));
     assert!(refused.contains("too high"), "{refused}");
+    assert_eq!(*of_struct.lock().unwrap(), Controller::default());
     assert!(!parameters.names().contains(&"limits.steps".to_owned()));
     drop(check);
     parameters.declare_struct(of_struct.clone()).unwrap();
@@ -347,6 +348,9 @@ fn a_struct_is_checked_and_may_be_changed_by_the_program() {
     assert_eq!(gain.get(), 2.0);
     parameters.set("gain", 9.0).unwrap();
     assert_eq!((gain.get(), of_struct.lock().unwrap().gain), (9.0, 9.0));
+    of_struct.lock().unwrap().gain = 3.0;
+    parameters.set("gain", 3.0).unwrap();
+    assert_eq!(gain.get(), 3.0);
 }
 
 #[test]

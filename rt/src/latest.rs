@@ -154,7 +154,7 @@ mod tests {
             if value % 3 == 0 {
                 assert!(reader.is_fresh() && !writer.is_read());
                 assert_eq!(*reader.read(), value);
-                assert!(!reader.is_fresh());
+                assert!(!reader.is_fresh() && writer.is_read());
                 assert_eq!(*reader.read(), value);
             }
         }

@@ -279,6 +279,9 @@ fn print_wcets(
         }
     }
     out.flush()?;
+    if comparison.jobs() == 0 {
+        return Ok(Verdict::Nothing);
+    }
     Ok(Verdict::of(match written {
         // The file now states at least what was measured, except for the largest input, which only the user can state.
         Some((_, schedulable)) => schedulable && fits.inputs_are_kept(),

@@ -143,7 +143,7 @@ fn verdict(comparison: &Comparison, run: &Run, out: &mut impl Write) -> io::Resu
     if comparison.verdict == Verdict::Nothing {
         return writeln!(
             out,
-            "Nothing to compare: no job of a callback of the file has ended yet ({processes})."
+            "Nothing to compare: no job of a callback of the file was measured ({processes})."
         );
     }
     if comparison.verdict == Verdict::Kept {

@@ -253,14 +253,13 @@ impl Parameters {
             fields.try_for_each(|(name, value)| checked.check_parameter(name, value))?;
         }
         self.run_checks(&values)?;
+        // Fields that the program has changed to another value, which readers may have.
+        let mut moved = Vec::new();
         for of_struct in &hooks.structs {
             let (mut fields, mut set) = (of_struct.among(&values), lock(&of_struct.value));
             fields.try_for_each(|(name, value)| {
-                // The program may have changed the field: readers have that value.
-                if let (Ok(now), Some(of_map)) =
-                    (set.get_parameter(name), lock(&self.shared.map).get_mut(name))
-                {
-                    of_map.value = now;
+                if set.get_parameter(name).is_ok_and(|now| now != *value) {
+                    moved.push(name.as_str());
                 }
                 set.set_parameter(name, value)
             })?;
@@ -273,7 +272,7 @@ impl Parameters {
                     Some(parameter) => parameter,
                     None => map.entry(name.clone()).or_insert_with(Parameter::empty),
                 };
-                if parameter.value != *value {
+                if parameter.value != *value || moved.contains(&name.as_str()) {
                     parameter.value.clone_from(value);
                     changed.push((name.clone(), value.clone()));
                 }
@@ -371,9 +370,11 @@ impl Parameters {
     /// while you hold its lock.
     ///
     /// # Errors
-    /// [`ParameterError`]: already declared, or a given value does not fit; nothing is declared then.
+    /// [`ParameterError`]: already declared, a given value does not fit, or a callback refuses it; nothing is declared then.
     pub fn declare_struct(&self, of_struct: Arc<Mutex<dyn RosParams + Send>>) -> Result<()> {
         let mut hooks = self.hooks("")?;
+        let mut present = IndexMap::new();
+        lock(&of_struct).register_parameters("", None, &mut present)?;
         let before = lock(&self.shared.map).clone();
         let mut after = before.clone();
         lock(&of_struct).register_parameters("", None, &mut after)?;
@@ -381,7 +382,13 @@ impl Parameters {
         let fields = after.iter().filter(|(name, parameter)| parameter.declared && is_new(name));
         let fields: Vec<_> =
             fields.map(|(name, parameter)| (name.clone(), parameter.value.clone())).collect();
-        self.run_checks(&fields)?;
+        if let Err(refused) = self.run_checks(&fields) {
+            let mut of_struct = lock(&of_struct);
+            for (name, parameter) in &present {
+                of_struct.set_parameter(name, &parameter.value)?;
+            }
+            return Err(refused.into());
+        }
         *lock(&self.shared.map) = after;
         hooks.events.publish(&Changes { new: &fields, ..Changes::default() });
         let fields = fields.into_iter().map(|(name, _)| name).collect();

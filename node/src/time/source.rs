@@ -227,8 +227,8 @@ impl TimeSource {
     /// Reads the new messages of `/clock`.
     ///
     /// # Real-time
-    /// At most eight messages, one unless more come just now; no allocation, but for callbacks that want to know of the jump. Another
-    /// thread that reads is waited for, and has this one's priority meanwhile.
+    /// At most eight messages, one unless more come just now: after eight it wakes those that wait for the time. No allocation, but for
+    /// callbacks that want to know of the jump. Another thread that reads is waited for, and has this one's priority meanwhile.
     pub(crate) fn update(&self) {
         for _ in 0..8 {
             match self.take() {

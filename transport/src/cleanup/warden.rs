@@ -344,7 +344,7 @@ impl ActiveWarden {
                     None
                 }
                 Ok(FileState::Owned) => again.filter(|_| self.watch.is_some()),
-                Err(error) if error.is_passing() => Some(again.unwrap_or(RETRY)),
+                Err(error) if error.is_passing() => Some(again.unwrap_or(RETRY).min(RETRY)),
                 // A file of another user, or a folder: it stays.
                 Err(_) => None,
             };

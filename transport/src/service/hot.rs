@@ -109,7 +109,7 @@ impl ClientState {
             let mut budget = PollBudget::new();
             let Poll::Ready(Some(response)) = responses.poll_within(&mut context, &mut budget) else {
                 // With a spent budget there may be more responses, also of servers that disappeared, and the waker is called for them. The
-                // budget is also spent while as many responses are held as can be: then none is waiting if the queue is empty.
+                // budget is also spent while as many responses are held as can be: then none can be taken if the queue has none.
                 if (!budget.is_spent() || !responses.has_samples())
                     && let Some((gone, alive)) = servers.take_change()
                 {

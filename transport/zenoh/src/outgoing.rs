@@ -135,11 +135,7 @@ impl Egress for Network {
         let traced = sender.traced.sample(sample.port(), info.sequence_number);
         let payload = match sample {
             // Samples that are sent later are copied, because a subscription may hold only few samples.
-            OutboundSample::Now(sample)
-                if !sender.may_wait()
-                    && len_bytes >= IN_PLACE_BYTES
-                    && (!sender.is_bulk || self.bulk.is_short(len_bytes)) =>
-            {
+            OutboundSample::Now(sample) if !sender.may_wait() && len_bytes >= IN_PLACE_BYTES => {
                 in_place(sample)
             }
             sample => copied(sample.body()),
@@ -322,11 +318,6 @@ impl Queue {
 
     fn has_room(&self) -> bool {
         self.waiting_bytes.load(Ordering::Relaxed) < MOST_WAITING_BYTES
-    }
-
-    /// Whether at most one sample of this length waits.
-    fn is_short(&self, len_bytes: usize) -> bool {
-        self.waiting_bytes.load(Ordering::Relaxed) < 2 * len_bytes
     }
 
     /// Never refuses: the caller checks [`has_room`](Self::has_room) before it takes samples from shared memory.

@@ -16,7 +16,7 @@ use crate::types::Types;
 use crate::unclaimed::ClaimThread;
 use crate::wire::{Token, TopicKey, token_wildcard};
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, PoisonError, mpsc};
 use std::time::{Duration, Instant};
 use tautline_relay::{
@@ -31,6 +31,9 @@ use zenoh::{Session, Wait};
 
 /// Time-out of a request for all tokens.
 const RESYNC_TIMEOUT: Duration = Duration::from_secs(2);
+/// The first and the longest pause before a resync that was not answered in time is repeated.
+const RETRY_PAUSE: Duration = Duration::from_secs(4);
+const LONGEST_PAUSE: Duration = Duration::from_secs(60);
 
 /// How long, and for how many publishers, a normal end is announced.
 const ENDED_TIME: Duration = Duration::from_secs(10);
@@ -44,6 +47,8 @@ pub(crate) struct NetworkSide {
     ended: VecDeque<(Instant, LivelinessToken)>,
     /// Dropped events that a resync was made for.
     seen_missed: u64,
+    /// When a resync is repeated that was not answered whole, and the pause before.
+    retry: Option<(Instant, Duration)>,
     options: Options,
     participant: Participant,
     session: Session,
@@ -75,13 +80,14 @@ impl NetworkSide {
         let host = tautline_rt::host::name();
         let transit = Transit::to_network(participant.domain_id(), participant.id(), zid, &host);
         let transit = transit.going_on(options.transit);
-        let (incoming, declared, ended, seen_missed, changes, undescribed) = Default::default();
+        let (incoming, declared, ended, seen_missed, retry, changes, undescribed) = Default::default();
         let side = NetworkSide {
             incoming,
             claims,
             declared,
             ended,
             seen_missed,
+            retry,
             graph: Graph::new(domain, zid, options.limits),
             is_unseen: true,
             tokens: Tokens::new(domain, zid),
@@ -154,15 +160,12 @@ impl NetworkSide {
         // which is short: the replies for this session's own tokens would wait for this thread, which is still sending the request.
         let (answers, keys) = mpsc::channel();
         let most = self.options.limits.tokens.saturating_mul(2).saturating_add(self.declared.len());
-        let room = Arc::new(AtomicUsize::new(most));
+        let (room, is_late) = (Arc::new(AtomicUsize::new(most)), Arc::new(AtomicBool::new(false)));
         let answer = {
-            let room = room.clone();
+            let (room, is_late) = (room.clone(), is_late.clone());
             move |reply: Reply| {
-                let Ok(sample) = reply.result() else {
-                    // The time-out: what did not answer may be there, so nothing is removed, and all is requested again.
-                    room.store(0, Ordering::Relaxed);
-                    return events::set_missed();
-                };
+                // The time-out is an error.
+                let Ok(sample) = reply.result() else { return is_late.store(true, Ordering::Relaxed) };
                 let count = |room: usize| room.checked_sub(1);
                 if room.fetch_update(Ordering::Relaxed, Ordering::Relaxed, count).is_ok() {
                     let _ = answers.send(cut(sample.key_expr().as_str()));
@@ -175,8 +178,12 @@ impl NetworkSide {
         }
         // Ends when Zenoh drops the sender, at the latest after the time-out.
         let there: BTreeSet<String> = keys.iter().collect();
-        // In a flood, tokens of honest peers may be missing for lack of room: then no token is removed from the graph.
-        let is_complete = room.load(Ordering::Relaxed) > 0;
+        // In a flood, tokens of honest peers may be missing for lack of room, and behind a slow link for lack of time: then no token is
+        // removed from the graph.
+        let is_late = is_late.load(Ordering::Relaxed);
+        let is_complete = !is_late && room.load(Ordering::Relaxed) > 0;
+        let pause = self.retry.map_or(RETRY_PAUSE, |(_, pause)| (2 * pause).min(LONGEST_PAUSE));
+        self.retry = is_late.then(|| (Instant::now() + pause, pause));
         let gone = self.graph.keys().filter(|key| is_complete && !there.contains(*key));
         for key in gone.map(String::from).collect::<Vec<_>>() {
             self.graph.remove(&key);
@@ -286,7 +293,8 @@ impl FarSide for NetworkSide {
     }
 
     fn tick(&mut self, _: &mut Writers<Writer>) -> bool {
-        let is_missed = events::is_missed(&mut self.seen_missed);
+        let is_due = self.retry.is_some_and(|(at, _)| Instant::now() >= at);
+        let is_missed = events::is_missed(&mut self.seen_missed) || is_due;
         if is_missed {
             self.resync();
         }

@@ -4,8 +4,7 @@
 mod support;
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use support::{Host, connect, stats, string_type, take, until};
-use tautline_gateway::Direction;
+use support::{Host, connect, string_type, take, until};
 use tautline_transport::{PublishError, Qos, RawSubscription};
 
 fn numbers(subscription: &RawSubscription, count: u64) -> Vec<u64> {
@@ -47,23 +46,6 @@ fn a_burst_of_a_new_publisher_arrives() {
     let new = a.publisher("/map", &string_type(), qos);
     (0..COUNT).for_each(|n| new.publish(&n.to_le_bytes()).unwrap());
     assert!(numbers(&subscription, COUNT).into_iter().eq(0..COUNT));
-}
-
-/// A node that sends its result and exits. A subscription of the gateway may hold only few samples in place.
-#[test]
-fn large_samples_of_a_publisher_that_ends_are_sent() {
-    const COUNT: u64 = 20;
-    let a = Host::first(181, 181);
-    let b = Host::beside(&a, 202);
-    let qos = Qos::keep_last(COUNT as usize);
-    let publisher = a.publisher("/image", &string_type(), qos);
-    let subscription = b.subscription("/image", &string_type(), qos);
-    connect(&publisher, &[&subscription], b"probe");
-    let sent = || stats(&a, "/image", Direction::Out).map_or(0, |stats| stats.reading.messages);
-    let before = sent();
-    (0..COUNT).for_each(|_| publisher.publish(&vec![5; 1 << 20]).unwrap());
-    drop(publisher);
-    until("all of them", || sent() >= before + COUNT);
 }
 
 #[test]

@@ -124,7 +124,7 @@ pub struct NewObservers {
 }
 
 impl Observers {
-    /// Begins the recording: from now on each message of a new publisher is recorded, or counted as missed.
+    /// Begins the recording: from now on each message of a new publisher of this host is recorded, or counted as missed.
     pub fn new(participant: Participant, choice: Choice, args: &RecordArgs) -> Outcome<(Self, NewObservers)> {
         let graph = participant.graph()?;
         let publishers = graph.endpoints.iter().filter(|end| end.kind == EndpointKind::Publisher);
