@@ -47,24 +47,26 @@ pub fn run(args: &ManArgs, command: Command) -> Outcome {
         }
     }
     for sibling in [&GATEWAY, &BRIDGE] {
-        if let Err(reason) = write_help(args, sibling)? {
+        if let Err(reason) = write_help(args, sibling) {
             eprintln!("taut: the page of {} has no options: {reason}", sibling.program);
         }
     }
     Ok(writeln!(crate::print::stdout(), "Wrote {written} pages to {}", args.folder.display())?)
 }
 
-/// Replaces the page of a separate program by one with its help text. `Err`: why it has none.
-fn write_help(args: &ManArgs, sibling: &Sibling) -> Outcome<Result<(), String>> {
+/// Replaces the page of a separate program by one with its help text.
+///
+/// # Errors
+/// The reason why it has none.
+fn write_help(args: &ManArgs, sibling: &Sibling) -> Result<(), String> {
     let program = sibling.path();
     let mut command = process::Command::new(&program);
     // Without colours.
     command.arg("--help").env_remove("CLICOLOR_FORCE").env("NO_COLOR", "1");
-    let output = match command.output() {
-        Ok(output) if output.status.success() => output,
-        Ok(output) => return Ok(Err(String::from_utf8_lossy(&output.stderr).trim().to_owned())),
-        Err(error) => return Ok(Err(sibling.error(program, error).to_string())),
-    };
+    let output = command.output().map_err(|error| sibling.error(program, error).to_string())?;
+    if !output.status.success() {
+        return Err(String::from_utf8_lossy(&output.stderr).trim().to_owned());
+    }
     let help = String::from_utf8_lossy(&output.stdout);
     let (about, rest) = help.split_once('\n').unwrap_or((&help, ""));
     let mut page = Roff::new();
@@ -75,10 +77,11 @@ fn write_help(args: &ManArgs, sibling: &Sibling) -> Outcome<Result<(), String>> 
     }
     page.control("fi", []).control("SH", ["SEE ALSO"]).text([roman("taut(1)")]);
     let mut text = title(sibling.program, env!("CARGO_PKG_VERSION")).into_bytes();
-    page.to_writer(&mut text)?;
+    // Writing to memory cannot fail.
+    let _ = page.to_writer(&mut text);
     let path = args.folder.join(format!("{}.1", sibling.program));
-    crate::replace::write(&path, &text).map_err(|error| unwritable(&path, error))?;
-    Ok(Ok(()))
+    crate::replace::write(&path, &text)
+        .map_err(|error| format!("{} cannot be written: {error}", path.display()))
 }
 
 /// Writes the pages of a program's verbs, and prints how many.
@@ -91,20 +94,18 @@ fn write(args: &ManArgs, command: Command, with_top: bool) -> Outcome<usize> {
     let mut command = command.disable_help_subcommand(true);
     command.build();
     let version = command.get_version().unwrap_or_default().to_owned();
-    fs::create_dir_all(&args.folder).map_err(|error| unwritable(&args.folder, error))?;
+    let failed =
+        |path: &Path, error| Failure::unusable(format!("{} cannot be written: {error}", path.display()));
+    fs::create_dir_all(&args.folder).map_err(|error| failed(&args.folder, error))?;
     let mut pages = Vec::new();
     collect(&command, &version, None, &mut pages);
     // The first page is that of the command itself.
     pages.drain(..usize::from(!with_top));
     for (name, page) in &pages {
         let path = args.folder.join(name);
-        crate::replace::write(&path, page).map_err(|error| unwritable(&path, error))?;
+        crate::replace::write(&path, page).map_err(|error| failed(&path, error))?;
     }
     Ok(pages.len())
-}
-
-fn unwritable(path: &Path, error: impl std::fmt::Display) -> Failure {
-    Failure::unusable(format!("{} cannot be written: {error}", path.display()))
 }
 
 /// Writes a command's page and those of its verbs; `above` is the name of the parent's page.

@@ -257,7 +257,10 @@ fn callbacks_without_a_job_are_nothing_to_compare() {
     let output = taut(&["--domain", "152"]);
     assert_eq!(output.status.code(), Some(2), "{output:?}");
     assert!(text(&output.stdout).contains("Nothing to compare: no job"), "{output:?}");
-    assert_eq!(json(&taut(&["--domain", "152", "--json"]))["kept"], false);
+    for wcet in [&[][..], &["--wcet"]] {
+        let output = taut(&[&["--domain", "152", "--json"], wcet].concat());
+        assert_eq!((output.status.code(), &json(&output)["kept"]), (Some(2), &false.into()), "{wcet:?}");
+    }
 }
 
 /// What a host takes is not to be had at will: it is put into a saved run.

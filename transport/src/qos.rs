@@ -219,7 +219,8 @@ pub enum Claim {
 /// `depth` the greatest of `kept` and its subscriptions' depths, `held` the sum of their limits. See [`topic_memory`](crate::topic_memory).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Limits {
-    /// Of a subscription: maximum number of samples that it can hold at once. 4 by default.
+    /// Of a subscription: maximum number of samples that it can hold at once. 4 by default. Of a client: of responses, 8 at least, besides
+    /// those that arrive for pending requests.
     pub held: usize,
     /// Of a publisher: maximum number of loans at once. 4 by default.
     pub loans: usize,

@@ -255,21 +255,26 @@ fn a_wait_for_a_server_ends_with_the_clients_node() {
     assert!(error.to_string().contains("node"), "{error}");
 }
 
+/// As many responses as can be held, and a request whose response waits for a place.
+fn hoard(client: &RawClient, server: &RawServer) -> (Vec<RawSample>, RawPending) {
+    let mut held = Vec::new();
+    loop {
+        let mut pending = ask(client, b"?");
+        let request = take(server);
+        respond(server, &request, b"!");
+        match (&mut pending).now_or_never() {
+            Some(response) => held.push(response.unwrap()),
+            None => return (held, pending),
+        }
+    }
+}
+
 #[test]
 fn an_answer_that_has_no_place_yet_is_waited_for_though_its_server_has_gone() {
     let participant = Participant::new(domain(63)).unwrap();
     let server = server(&participant, "/hoarding");
     let client = client(&participant, "/hoarding");
-    let mut held = Vec::new();
-    let mut pending = loop {
-        let mut pending = ask(&client, b"?");
-        let request = take(&server);
-        respond(&server, &request, b"!");
-        match (&mut pending).now_or_never() {
-            Some(response) => held.push(response.unwrap()),
-            None => break pending,
-        }
-    };
+    let (mut held, mut pending) = hoard(&client, &server);
     assert!(held.len() >= tautline_transport::MAX_PENDING_REQUESTS, "{}", held.len());
     drop(server);
     assert!((&mut pending).now_or_never().is_none(), "its answer is there, but no more can be held");
@@ -288,16 +293,7 @@ fn a_request_ends_with_its_server_though_no_more_responses_can_be_held() {
     let participant = Participant::new(domain(54)).unwrap();
     let server = server(&participant, "/hoarded");
     let client = client(&participant, "/hoarded");
-    let mut held = Vec::new();
-    let pending = loop {
-        let mut pending = ask(&client, b"?");
-        let request = take(&server);
-        respond(&server, &request, b"!");
-        match (&mut pending).now_or_never() {
-            Some(response) => held.push(response.unwrap()),
-            None => break pending,
-        }
-    };
+    let (mut held, pending) = hoard(&client, &server);
     held.pop();
     held.push(pending.now_or_never().unwrap().unwrap());
     let mut last = ask(&client, b"?");

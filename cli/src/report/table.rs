@@ -8,7 +8,7 @@ use tautline::HistogramSnapshot;
 use super::explain;
 use super::host::Share;
 use super::run::Run;
-use super::verdict::{ChainRow, Comparison, Row, Verdict};
+use super::verdict::{ChainRow, Comparison, NOTHING, Row, Verdict};
 use crate::table::{BAD, GOOD, WARNING, ms, wrap, write_table};
 
 /// Writes the whole report; callbacks with a violation are red.
@@ -141,10 +141,7 @@ fn verdict(comparison: &Comparison, run: &Run, out: &mut impl Write) -> io::Resu
         (all, running) => format!("{all} processes, {} of them ended", all - running),
     };
     if comparison.verdict == Verdict::Nothing {
-        return writeln!(
-            out,
-            "Nothing to compare: no job of a callback of the file was measured ({processes})."
-        );
+        return writeln!(out, "{NOTHING} ({processes}).");
     }
     if comparison.verdict == Verdict::Kept {
         let text = format!("Kept: no assumption of the analysis was violated in {jobs} jobs ({processes}).");

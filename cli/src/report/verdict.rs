@@ -18,6 +18,9 @@ pub enum Verdict {
     Nothing = 2,
 }
 
+/// The text of [`Verdict::Nothing`].
+pub const NOTHING: &str = "Nothing to compare: no job of a callback of the file was measured";
+
 impl Verdict {
     pub fn of(kept: bool) -> Self {
         if kept { Verdict::Kept } else { Verdict::Violated }

@@ -373,6 +373,7 @@ impl Parameters {
     /// [`ParameterError`]: already declared, a given value does not fit, or a callback refuses it; nothing is declared then.
     pub fn declare_struct(&self, of_struct: Arc<Mutex<dyn RosParams + Send>>) -> Result<()> {
         let mut hooks = self.hooks("")?;
+        // The values before given ones are set, for a refusal.
         let mut present = IndexMap::new();
         lock(&of_struct).register_parameters("", None, &mut present)?;
         let before = lock(&self.shared.map).clone();

@@ -573,6 +573,16 @@ mod tests {
         Gid::of(5, n)
     }
 
+    /// A participant's memory, and how another participant sees it.
+    fn shared(domain: u32, layout: FileLayout) -> (Arc<Domain>, Arc<OwnMemory>, Peer) {
+        isolated();
+        let joined = Domain::join(domain).unwrap();
+        let memory = Arc::new(OwnMemory::create_as(domain, layout).unwrap());
+        memory.create_arena();
+        let peer = Peer::open(domain, memory.id()).unwrap().unwrap();
+        (joined, memory, peer)
+    }
+
     fn view(peer: &Peer, place: u64, of: Gid) -> View {
         let first = PackedRange::from_word(place).unwrap();
         let map = peer.map(first, true).unwrap().unwrap();
@@ -602,11 +612,7 @@ mod tests {
     }
 
     fn a_thousand_connections(layout: FileLayout) {
-        isolated();
-        let _domain = Domain::join(220).unwrap();
-        let memory = Arc::new(OwnMemory::create_as(220, layout).unwrap());
-        memory.create_arena();
-        let peer = Peer::open(220, memory.id()).unwrap().unwrap();
+        let (_domain, memory, peer) = shared(220, layout);
         let mut control = PublisherControl::create(&memory, gid(1)).unwrap();
         let mut early = view(&peer, control.place(), gid(1));
         assert!(found(&early, 100).is_none());
@@ -650,11 +656,7 @@ mod tests {
 
     #[test]
     fn a_connection_of_the_publisher_that_has_the_memory_now_is_not_found() {
-        isolated();
-        let _domain = Domain::join(65).unwrap();
-        let memory = Arc::new(OwnMemory::create(65).unwrap());
-        memory.create_arena();
-        let peer = Peer::open(65, memory.id()).unwrap().unwrap();
+        let (_domain, memory, peer) = shared(65, FileLayout::of_host());
         let former = PublisherControl::create(&memory, gid(1)).unwrap();
         let (place, view) = (former.place(), view(&peer, former.place(), gid(1)));
         former.release();
@@ -667,11 +669,7 @@ mod tests {
 
     #[test]
     fn what_is_missed_in_a_former_directory_is_looked_for_in_the_next() {
-        isolated();
-        let _domain = Domain::join(163).unwrap();
-        let memory = Arc::new(OwnMemory::create(163).unwrap());
-        memory.create_arena();
-        let peer = Peer::open(163, memory.id()).unwrap().unwrap();
+        let (_domain, memory, peer) = shared(163, FileLayout::of_host());
         let mut control = PublisherControl::create(&memory, gid(1)).unwrap();
         let mut view = view(&peer, control.place(), gid(1));
         let mut made: Vec<_> = (2..514).map(|n| control.connect(gid(n), SHAPE, 0).unwrap()).collect();
@@ -706,11 +704,7 @@ mod tests {
 
     #[test]
     fn lies_are_no_connections() {
-        isolated();
-        let _domain = Domain::join(219).unwrap();
-        let memory = Arc::new(OwnMemory::create(219).unwrap());
-        memory.create_arena();
-        let peer = Peer::open(219, memory.id()).unwrap().unwrap();
+        let (_domain, memory, peer) = shared(219, FileLayout::of_host());
         let mut control = PublisherControl::create(&memory, gid(1)).unwrap();
         let _made = control.connect(gid(7), SHAPE, 10).unwrap();
         let view = view(&peer, control.place(), gid(1));

@@ -2,9 +2,10 @@
 //! Events from the network, on their way to the control thread.
 
 use crate::origin::ended_tag;
+use crate::stats::GatewayState;
 use crate::wire::{MAX_KEY_BYTES, TypeId};
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc;
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, mpsc};
 use tautline_relay::Event;
 use zenoh::query::Query;
 use zenoh::sample::{Sample, SampleKind};
@@ -24,7 +25,7 @@ pub(crate) enum NetworkEvent {
 pub(crate) type Events = mpsc::SyncSender<Event<NetworkEvent>>;
 
 /// Passes tokens from Zenoh's thread to the control thread. On overflow, all tokens are requested again later.
-pub(crate) fn tokens_to(events: Events) -> impl Fn(Sample) + Send + Sync + 'static {
+pub(crate) fn tokens_to(events: Events, state: Arc<GatewayState>) -> impl Fn(Sample) + Send + Sync + 'static {
     move |sample| {
         let key = cut(sample.key_expr().as_str());
         let event = match sample.kind() {
@@ -32,7 +33,7 @@ pub(crate) fn tokens_to(events: Events) -> impl Fn(Sample) + Send + Sync + 'stat
             SampleKind::Delete => NetworkEvent::TokenDown(key),
         };
         if events.try_send(Event::FarChange(event)).is_err() {
-            set_missed();
+            state.has_missed.store(true, Ordering::Relaxed);
         }
     }
 }
@@ -55,32 +56,4 @@ pub(crate) fn cut(key: &str) -> String {
         end += 1;
     }
     key[..end].to_owned()
-}
-
-/// How often a gateway of this process dropped events. Shared by all of them: an unnecessary resync does no harm.
-static MISSED: AtomicU64 = AtomicU64::new(0);
-
-pub(crate) fn set_missed() {
-    MISSED.fetch_add(1, Ordering::Relaxed);
-}
-
-/// Whether events were dropped since `seen`, which is updated.
-pub(crate) fn is_missed(seen: &mut u64) -> bool {
-    let now = MISSED.load(Ordering::Relaxed);
-    std::mem::replace(seen, now) != now
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn each_gateway_of_a_process_sees_what_was_missed_once() {
-        let (mut one, mut other) = (0, 0);
-        is_missed(&mut one);
-        is_missed(&mut other);
-        set_missed();
-        assert!(is_missed(&mut one) && is_missed(&mut other));
-        assert!(!is_missed(&mut one) && !is_missed(&mut other));
-    }
 }

@@ -123,29 +123,30 @@ impl Gateway {
 
         let (events, received) = mpsc::sync_channel(EVENTS);
         let network_domain = options.domain_there();
+        let zid = u128::from_le_bytes(session.zid().to_le_bytes());
+        let named = format!("{zid:x}");
+        let stats = Stats { domain: options.domain, network_domain, zid: named, ..Stats::default() };
+        let state = Arc::new(GatewayState {
+            stop: AtomicBool::new(false),
+            has_missed: AtomicBool::new(false),
+            stats: Mutex::new(stats),
+            remote: Mutex::default(),
+        });
         let refused =
             |what| move |error: zenoh::Error| GatewayError::Zenoh { what, reason: error.to_string() };
         let tokens = session
             .liveliness()
             .declare_subscriber(token_wildcard(network_domain))
             .history(true)
-            .callback(tokens_to(events.clone()))
+            .callback(tokens_to(events.clone(), state.clone()))
             .wait()
             .map_err(refused("subscribing to liveliness tokens"))?;
-        let zid = u128::from_le_bytes(session.zid().to_le_bytes());
         let ends = session
             .liveliness()
             .declare_subscriber(ended_wildcard(network_domain))
             .callback(ends_to(events.clone(), zid))
             .wait()
             .map_err(refused("subscribing to the ends of publishers"))?;
-        let zid = format!("{zid:x}");
-        let stats = Stats { domain: options.domain, network_domain, zid, ..Stats::default() };
-        let state = Arc::new(GatewayState {
-            stop: AtomicBool::new(false),
-            stats: Mutex::new(stats),
-            remote: Mutex::default(),
-        });
         let thread = |name: &str| {
             let builder = ThreadBuilder { cores: options.cores, ..ThreadBuilder::new(name) };
             // Calls into Zenoh need a deep stack.

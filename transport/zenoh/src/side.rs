@@ -2,7 +2,7 @@
 //! The network as the far side of a mirror.
 
 use crate::descriptions::Descriptions;
-use crate::events::{self, NetworkEvent, cut};
+use crate::events::{NetworkEvent, cut};
 use crate::graph::Graph;
 use crate::incoming::{self, Incoming};
 use crate::locals::{self, wire_key, wire_node, wire_qos};
@@ -45,8 +45,6 @@ pub(crate) struct NetworkSide {
     declared: HashMap<String, LivelinessToken>,
     /// Announcements of publishers' ends, kept until other hosts have received them.
     ended: VecDeque<(Instant, LivelinessToken)>,
-    /// Dropped events that a resync was made for.
-    seen_missed: u64,
     /// When a resync is repeated that was not answered whole, and the pause before.
     retry: Option<(Instant, Duration)>,
     options: Options,
@@ -80,13 +78,12 @@ impl NetworkSide {
         let host = tautline_rt::host::name();
         let transit = Transit::to_network(participant.domain_id(), participant.id(), zid, &host);
         let transit = transit.going_on(options.transit);
-        let (incoming, declared, ended, seen_missed, retry, changes, undescribed) = Default::default();
+        let (incoming, declared, ended, retry, changes, undescribed) = Default::default();
         let side = NetworkSide {
             incoming,
             claims,
             declared,
             ended,
-            seen_missed,
             retry,
             graph: Graph::new(domain, zid, options.limits),
             is_unseen: true,
@@ -211,7 +208,7 @@ impl FarSide for NetworkSide {
                 let was_there = self.graph.remove(&key);
                 if self.graph.wants_resync() {
                     // At the next tick, because a resync takes a while.
-                    events::set_missed();
+                    self.state.has_missed.store(true, Ordering::Relaxed);
                 }
                 was_there
             }
@@ -293,15 +290,15 @@ impl FarSide for NetworkSide {
     }
 
     fn tick(&mut self, _: &mut Writers<Writer>) -> bool {
-        let is_due = self.retry.is_some_and(|(at, _)| Instant::now() >= at);
-        let is_missed = events::is_missed(&mut self.seen_missed) || is_due;
-        if is_missed {
+        let has_missed = self.state.has_missed.swap(false, Ordering::Relaxed);
+        let is_due = has_missed || self.retry.is_some_and(|(at, _)| Instant::now() >= at);
+        if is_due {
             self.resync();
         }
         self.ended.retain(|(since, _)| since.elapsed() < ENDED_TIME);
         self.request_types();
         self.retry_kept();
-        is_missed
+        is_due
     }
 
     fn find_type(&mut self, key: &tautline_relay::TopicKey, _: Option<&str>) -> Result<FoundType, String> {

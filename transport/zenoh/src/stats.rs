@@ -84,6 +84,8 @@ impl ServiceNames {
 /// State that the control thread shares with the [`Gateway`](crate::Gateway).
 pub(crate) struct GatewayState {
     pub(crate) stop: AtomicBool,
+    /// Whether an event was dropped since the last resync.
+    pub(crate) has_missed: AtomicBool,
     pub(crate) stats: Mutex<Stats>,
     /// Nodes and endpoints of other hosts.
     pub(crate) remote: Mutex<Arc<Vec<Token>>>,

@@ -6,7 +6,7 @@ mod sizes;
 mod tail;
 
 use super::explain::{INPUT_TOO_LARGE, Mark, WCET_EXCEEDED, quoted};
-use super::verdict::{Comparison, Measured, Row};
+use super::verdict::{Comparison, Measured, NOTHING, Row};
 use super::{ReportError, System, read};
 use crate::date::date;
 use crate::table::{BAD, GOOD, ms, wrap, write_table};
@@ -55,9 +55,9 @@ impl<'r> Fits<'r> {
         Fits { fits, exceedance, taken_at_s }
     }
 
-    /// Whether no job took longer, or had a larger input, than the file states.
+    /// Whether there were jobs, and none took longer, or had a larger input, than the file states.
     pub fn are_kept(&self) -> bool {
-        self.fits.iter().all(Fit::is_kept)
+        !self.fits.is_empty() && self.fits.iter().all(Fit::is_kept)
     }
 
     /// Whether no job had a larger input than the file states, which another wcet does not fix.
@@ -121,6 +121,9 @@ impl<'r> Fits<'r> {
         }
         for (why, names) in unknown {
             writeln!(out, "{}", wrap(&format!("no estimate, {why}: {}", names.join(", "))))?;
+        }
+        if self.fits.is_empty() {
+            writeln!(out, "{NOTHING}.")?;
         }
         if self.are_kept() {
             let jobs: u64 = self.fits.iter().map(|fit| fit.jobs).sum();
