@@ -142,6 +142,8 @@ pub struct Ingress {
     early: Vec<Early>,
     early_bytes: usize,
     delivery: Delivery,
+    /// Whether messages of unknown publishers are ignored.
+    is_closed: bool,
 }
 
 /// How messages arrive at an ingress.
@@ -163,8 +165,8 @@ impl Ingress {
         senders: Senders,
         delivery: Delivery,
     ) -> Self {
-        let (numbers, early, early_bytes) = Default::default();
-        Ingress { port, schema, counters, limiter, senders, numbers, early, early_bytes, delivery }
+        let (numbers, early, early_bytes, is_closed) = Default::default();
+        Ingress { port, schema, counters, limiter, senders, numbers, early, early_bytes, delivery, is_closed }
     }
 
     /// Continues where `old` ended: sequence numbers reveal duplicates. But samples that a new port must keep for late joiners
@@ -193,6 +195,20 @@ impl Ingress {
         self.settle();
     }
 
+    /// Forwards only the last messages of publishers that have ended, i.e. are not `present`. Returns whether there are such publishers.
+    pub fn close(&mut self, present: &BTreeSet<Gid>) -> bool {
+        self.is_closed = true;
+        self.senders.wanted.retain(|gid, _| !present.contains(gid));
+        !self.senders.wanted.is_empty()
+    }
+
+    fn role(&self, publisher: &Gid) -> SenderRole {
+        match self.senders.find(publisher) {
+            SenderRole::Unknown if self.is_closed => SenderRole::Other,
+            role => role,
+        }
+    }
+
     /// The counters of this ingress's messages.
     pub fn counters(&self) -> &Arc<TopicCounters> {
         &self.counters
@@ -205,7 +221,7 @@ impl Ingress {
 
     /// Whether messages of this publisher are ignored, because they arrive by another path.
     pub fn ignores(&self, publisher: &Gid) -> bool {
-        self.senders.find(publisher) == SenderRole::Other
+        self.role(publisher) == SenderRole::Other
     }
 
     /// A claimer, for use in a thread that may claim memory, if a message of this publisher needs memory that is not claimed yet.
@@ -232,7 +248,7 @@ impl Ingress {
     /// One look-up, one loan, one copy; validation in time linear in the body if the definition is known. The body of an unknown
     /// publisher is copied to the heap.
     pub fn receive<B: Body + ?Sized>(&mut self, body: &B, source: MessageMeta) {
-        match self.senders.find(&source.publisher) {
+        match self.role(&source.publisher) {
             SenderRole::Wanted(lifespan) => self.pass(body, source, lifespan),
             SenderRole::Other => {}
             SenderRole::Unknown => match self.delivery.early {

@@ -13,7 +13,8 @@ use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{RtError, ThreadBuilder, ThreadInfo};
 use tautline_transport::{Gid, Participant, RawSubscription, SamplerSeat, TransportError};
 
-/// The thread that takes samples and passes them to an [`Egress`]; dropping this ends both.
+/// The thread that takes samples and passes them to an [`Egress`]; dropping this ends both, after the remaining samples of
+/// [stopped topics](Self::stop_topic).
 pub struct Relay<O: Egress> {
     worker: Worker<Job<Loop<O>>>,
     passed_over: PassedOver,
@@ -37,7 +38,8 @@ impl<O: Egress> Relay<O> {
         let waker = RelayWaker::new(participant.claim_slot()?);
         let sources = Sources { own: participant.id(), passed_over: PassedOver::default() };
         let passed_over = sources.passed_over.clone();
-        let relay = Loop { seat, waker: waker.clone(), sources, routes: HashMap::new(), egress };
+        let relay =
+            Loop { seat, waker: waker.clone(), sources, routes: HashMap::new(), ending: Vec::new(), egress };
         let worker = Worker::start(thread, move || waker.ring(), move |jobs| relay.run(&jobs))?;
         Ok(Relay { worker, passed_over })
     }
@@ -70,20 +72,22 @@ impl<O: Egress> Relay<O> {
         }));
     }
 
-    /// Removes the sender of the publisher `gid`, which has ended, after its remaining samples.
+    /// Removes the sender of the publisher `gid`, which has ended, after its remaining samples. What cannot be sent within
+    /// seven seconds is counted.
     pub fn close(&self, key: O::Key, gid: Gid) {
-        self.worker.send(Box::new(move |Loop { routes, sources, egress, .. }| {
+        self.worker.send(Box::new(move |Loop { routes, .. }| {
             if let Some(route) = routes.get_mut(&key) {
-                route.close(gid, sources, egress);
+                route.close(gid);
             }
         }));
     }
 
     /// Takes the topic's remaining samples, then stops.
     pub fn stop_topic(&self, key: O::Key) {
-        self.worker.send(Box::new(move |Loop { routes, sources, egress, .. }| {
-            if let Some(route) = routes.remove(&key) {
-                route.end(sources, egress);
+        self.worker.send(Box::new(move |Loop { routes, ending, .. }| {
+            if let Some(mut route) = routes.remove(&key) {
+                route.end();
+                ending.push(route);
             }
         }));
     }
@@ -100,6 +104,8 @@ struct Loop<O: Egress> {
     waker: Arc<RelayWaker>,
     sources: Sources,
     routes: HashMap<O::Key, TopicRoute<O>>,
+    /// Of stopped topics, until their remaining samples are forwarded.
+    ending: Vec<TopicRoute<O>>,
     egress: O,
 }
 
@@ -111,11 +117,14 @@ impl<O: Egress> Loop<O> {
         let mut next_check = Instant::now() + REFRESH_PERIOD;
         loop {
             self.waker.drain(&self.seat);
-            if !commanded(jobs, |job| job(&mut self)) {
+            let has_ended = !commanded(jobs, |job| job(&mut self));
+            let (sources, egress) = (&self.sources, &mut self.egress);
+            let routes = self.routes.values_mut().chain(&mut self.ending);
+            let served = routes.map(|route| route.serve_if_rung(sources, egress)).max();
+            self.ending.retain_mut(|route| !route.is_over(&self.sources));
+            if has_ended && self.ending.is_empty() {
                 return;
             }
-            let (sources, egress) = (&self.sources, &mut self.egress);
-            let served = self.routes.values_mut().map(|route| route.serve_if_rung(sources, egress)).max();
             if Instant::now() >= next_check {
                 next_check = Instant::now() + REFRESH_PERIOD;
                 self.routes.values_mut().for_each(|route| route.refresh(&self.sources));
@@ -136,11 +145,11 @@ impl<O: Egress> Loop<O> {
         topic: O::Topic,
         senders: Vec<(Gid, O::Sender)>,
     ) {
-        let (sources, egress) = (&self.sources, &mut self.egress);
+        let egress = &mut self.egress;
         let route = match self.routes.entry(key) {
             Entry::Occupied(route) => {
                 let route = route.into_mut();
-                route.change(subscription, topic, sources, egress);
+                route.change(subscription, topic);
                 route
             }
             Entry::Vacant(place) => {

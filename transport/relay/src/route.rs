@@ -4,6 +4,7 @@
 use crate::limiter::Limiter;
 use crate::stats::TopicCounters;
 use crate::waker::Flag;
+use crate::writers::SETTLE_TIME;
 use std::collections::{HashMap, HashSet, VecDeque};
 use std::hash::Hash;
 use std::sync::Arc;
@@ -154,14 +155,41 @@ pub(crate) struct Sources {
 const TURN: usize = 16;
 
 pub(crate) struct TopicRoute<O: Egress> {
-    subscription: Box<RawSubscription>,
+    /// The present subscription, after former ones that still have samples.
+    subscriptions: VecDeque<TopicSubscription>,
     topic: O::Topic,
     senders: HashMap<Gid, O::Sender>,
+    /// Ended publishers, each with the time of its end: their senders stay until all samples are taken.
+    ended: Vec<(Gid, Instant)>,
     early: VecDeque<Early>,
     early_bytes: usize,
+    flag: Arc<Flag>,
+}
+
+/// A subscription of a topic.
+struct TopicSubscription {
+    subscription: Box<RawSubscription>,
     /// Losses that the subscription has reported so far.
     lost: u64,
-    flag: Arc<Flag>,
+    /// The time at which another one took its place, or its topic ended.
+    replaced: Option<Instant>,
+}
+
+impl TopicSubscription {
+    fn new(subscription: Box<RawSubscription>) -> Self {
+        TopicSubscription { subscription, lost: 0, replaced: None }
+    }
+
+    /// Its losses since the last call.
+    fn new_losses(&mut self) -> u64 {
+        let lost = self.subscription.counters().lost();
+        lost - std::mem::replace(&mut self.lost, lost)
+    }
+
+    /// Whether no more samples are taken from it.
+    fn is_over(&self) -> bool {
+        self.replaced.is_some_and(|since| self.subscription.waiting() == 0 || since.elapsed() >= SETTLE_TIME)
+    }
 }
 
 /// The outcome of a topic's turn.
@@ -182,23 +210,17 @@ impl Sources {
 
 impl<O: Egress> TopicRoute<O> {
     pub(crate) fn new(subscription: Box<RawSubscription>, topic: O::Topic, thread: Waker) -> Self {
-        let (senders, early) = (HashMap::new(), VecDeque::new());
-        TopicRoute { subscription, topic, senders, early, early_bytes: 0, lost: 0, flag: Flag::new(thread) }
+        let (senders, ended, early) = Default::default();
+        let subscriptions = VecDeque::from([TopicSubscription::new(subscription)]);
+        TopicRoute { subscriptions, topic, senders, ended, early, early_bytes: 0, flag: Flag::new(thread) }
     }
 
     /// Takes from another subscription from now on.
-    pub(crate) fn change(
-        &mut self,
-        subscription: Box<RawSubscription>,
-        topic: O::Topic,
-        sources: &Sources,
-        egress: &mut O,
-    ) {
+    pub(crate) fn change(&mut self, subscription: Box<RawSubscription>, topic: O::Topic) {
         // Both have existed for a while: the old one's samples come first, and duplicates from the new one are dropped.
-        self.serve_all(sources, egress);
-        self.refresh(sources);
-        (self.subscription, self.topic, self.lost) = (subscription, topic, 0);
-        self.flag.set();
+        self.end();
+        self.subscriptions.push_back(TopicSubscription::new(subscription));
+        self.topic = topic;
     }
 
     /// If the flag is set, forwards at most one turn of samples.
@@ -218,25 +240,43 @@ impl<O: Egress> TopicRoute<O> {
         let waker = self.flag.waker();
         let mut context = Context::from_waker(&waker);
         for _ in 0..TURN {
-            match self.subscription.poll_take(&mut context) {
+            let Some(TopicSubscription { subscription, .. }) = self.subscriptions.front() else {
+                return false;
+            };
+            match subscription.poll_take(&mut context) {
                 Poll::Ready(Some(sample)) => self.pass(sample, sources, egress),
-                Poll::Ready(None) | Poll::Pending => return false,
+                // Samples may wait until others are returned, which sets the flag.
+                Poll::Ready(None) | Poll::Pending => {
+                    if !self.drop_ended() {
+                        return false;
+                    }
+                }
             }
         }
         self.flag.set();
         true
     }
 
-    /// Forwards all queued samples: at most the queue's capacity, because a publisher could be faster.
-    fn serve_all(&mut self, sources: &Sources, egress: &mut O) {
-        // Present publishers, ended publishers that are not closed yet, and one undiscovered publisher.
-        let publishers = self.subscription.publisher_count() + self.senders.len() + 1;
-        for _ in 0..turns(self.subscription.qos().depth, publishers) {
-            // After a turn of skipped samples, the flag is set at once, because there may be samples behind them.
-            if !self.serve(sources, egress) && !self.flag.take() {
-                break;
-            }
+    /// Drops the first subscription, if it is over, or else senders of ended publishers. Returns whether it dropped the subscription.
+    fn drop_ended(&mut self) -> bool {
+        if self.subscriptions.front().is_some_and(TopicSubscription::is_over)
+            && let Some(mut over) = self.subscriptions.pop_front()
+        {
+            O::lost(&self.topic, over.new_losses() + over.subscription.waiting());
+            return true;
         }
+        if !self.ended.is_empty() {
+            let is_empty = self.subscriptions.iter().all(|taken| taken.subscription.waiting() == 0);
+            let senders = &mut self.senders;
+            self.ended.retain(|(gid, since)| {
+                let stays = !is_empty && since.elapsed() < SETTLE_TIME;
+                if !stays {
+                    senders.remove(gid);
+                }
+                stays
+            });
+        }
+        false
     }
 
     fn pass(&mut self, sample: RawSample, sources: &Sources, egress: &mut O) {
@@ -266,6 +306,7 @@ impl<O: Egress> TopicRoute<O> {
 
     /// Adds the counterpart of a publisher, and first forwards the publisher's held samples.
     pub(crate) fn open(&mut self, gid: Gid, mut sender: O::Sender, egress: &mut O) {
+        self.ended.retain(|(ended, _)| *ended != gid);
         for early in std::mem::take(&mut self.early) {
             if early.info.publisher_gid == gid {
                 self.early_bytes -= early.body.len();
@@ -277,20 +318,32 @@ impl<O: Egress> TopicRoute<O> {
         self.senders.insert(gid, sender);
     }
 
-    /// Removes the counterpart of an ended publisher, and first forwards its queued samples.
-    pub(crate) fn close(&mut self, gid: Gid, sources: &Sources, egress: &mut O) {
-        self.serve_all(sources, egress);
-        self.senders.remove(&gid);
+    /// Removes the counterpart of an ended publisher after its queued samples.
+    pub(crate) fn close(&mut self, gid: Gid) {
+        self.ended.push((gid, Instant::now()));
+        self.flag.set();
     }
 
-    /// Forwards the queued samples, and drops the held ones.
-    pub(crate) fn end(mut self, sources: &Sources, egress: &mut O) {
-        self.serve_all(sources, egress);
-        self.refresh(sources);
-        self.early.iter().for_each(|_| O::dropped(&self.topic));
+    /// Forwards the queued samples, and takes no others.
+    pub(crate) fn end(&mut self) {
+        if let Some(last) = self.subscriptions.back_mut() {
+            last.replaced = Some(Instant::now());
+        }
+        self.flag.set();
     }
 
-    /// Drops held samples after the time-out, and reads the subscription's losses.
+    /// Whether it has [ended](Self::end) and forwarded the queued samples. What it holds is then dropped.
+    pub(crate) fn is_over(&mut self, sources: &Sources) -> bool {
+        while self.drop_ended() {}
+        let is_over = self.subscriptions.is_empty();
+        if is_over {
+            self.refresh(sources);
+            self.early.drain(..).for_each(|_| O::dropped(&self.topic));
+        }
+        is_over
+    }
+
+    /// Drops held samples after the time-out, and reads the losses of subscriptions.
     pub(crate) fn refresh(&mut self, sources: &Sources) {
         let (topic, bytes) = (&self.topic, &mut self.early_bytes);
         if !self.early.is_empty() {
@@ -307,15 +360,9 @@ impl<O: Egress> TopicRoute<O> {
                 !is_late && !is_passed_over
             });
         }
-        let lost = self.subscription.counters().lost();
-        O::lost(&self.topic, lost - self.lost);
-        self.lost = lost;
+        O::lost(&self.topic, self.subscriptions.iter_mut().map(TopicSubscription::new_losses).sum());
+        self.drop_ended();
     }
-}
-
-/// Number of turns that empty queues of this depth, one for each of `publishers`.
-fn turns(depth: usize, publishers: usize) -> usize {
-    depth.saturating_mul(publishers).div_ceil(TURN) + 1
 }
 
 #[cfg(test)]
@@ -334,12 +381,5 @@ mod tests {
         assert!(admits(other, 3, 6) && admits(other, 4, 8) && admits(other, 5, 7), "in any order");
         // Without the publisher's numbers, the port's count.
         assert!(admits(one, 1, 0) && admits(one, 2, 0) && !admits(one, 2, 0));
-    }
-
-    #[test]
-    fn a_queue_is_emptied_however_deep() {
-        for (depth, publishers) in [(1, 1), (100, 1), (1000, 3), (65_536, 8)] {
-            assert!(turns(depth, publishers) * TURN >= depth * publishers);
-        }
     }
 }

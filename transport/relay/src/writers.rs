@@ -121,6 +121,11 @@ impl<W: FarWriter> Writers<W> {
         self.next = Some(Instant::now());
     }
 
+    /// The removed writers that have not settled yet.
+    pub fn settling(&self) -> impl Iterator<Item = &W> {
+        self.ended.iter().map(|(_, writer, _)| writer).filter(|writer| !writer.is_settled())
+    }
+
     /// Whether removed writers have not settled yet.
     pub(crate) fn is_settling(&self) -> bool {
         !self.ended.is_empty()

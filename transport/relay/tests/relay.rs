@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The order in which samples are passed on, and which are not.
 
+use std::collections::VecDeque;
 use std::sync::mpsc;
 use std::time::Duration;
 use tautline_relay::{EarlyLimits, Egress, OutboundSample, Relay};
@@ -103,4 +104,57 @@ fn what_came_early_goes_first_and_what_is_a_relays_does_not_go() {
     publish(&known);
     drop(relay);
     assert_eq!(told.try_recv(), Err(mpsc::TryRecvError::Disconnected), "nothing more");
+}
+
+/// Hands samples over, for others to hold.
+struct HandOver;
+
+impl Egress for HandOver {
+    type Key = &'static str;
+    type Topic = mpsc::Sender<OutboundSample>;
+    type Sender = ();
+
+    const EARLY: EarlyLimits = Log::EARLY;
+
+    fn pass(&mut self, samples: &mut Self::Topic, (): &mut (), sample: OutboundSample) {
+        let _ = samples.send(sample);
+    }
+
+    fn dropped(_: &Self::Topic) {
+        panic!("nothing comes early");
+    }
+
+    fn lost(_: &Self::Topic, samples: u64) {
+        assert_eq!(samples, 0);
+    }
+}
+
+#[test]
+fn what_waits_for_held_samples_is_taken_though_its_publisher_or_topic_has_ended() {
+    tautline_rt::domain::test_scope("test");
+    let [participant, relaying] = [(); 2].map(|()| Participant::new(224).unwrap());
+    let (topic_type, qos, limits) =
+        (TopicType::new("test_msgs/msg/Bytes"), Qos::keep_last(20), Limits::default());
+    let relay = Relay::start(&relaying, ThreadBuilder::new("relay"), HandOver).unwrap();
+    for end in ["publisher", "topic", "subscription"] {
+        let subscribe = || relaying.create_relay_subscription("/x", &topic_type, qos, limits).unwrap();
+        let publisher = participant.create_raw_publisher("/x", &topic_type, qos, limits).unwrap();
+        let (samples, passed) = mpsc::channel();
+        relay.start_topic("/x", subscribe(), samples.clone(), vec![(publisher.gid(), ())]);
+        (0..20).for_each(|_| publish(&publisher));
+        let next = || passed.recv_timeout(Duration::from_secs(30)).expect("no sample");
+        let mut held: VecDeque<_> = (0..limits.held).map(|_| next()).collect();
+        match end {
+            "publisher" => relay.close("/x", publisher.gid()),
+            "topic" => relay.stop_topic("/x"),
+            _ => relay.start_topic("/x", subscribe(), samples, Vec::new()),
+        }
+        drop(publisher);
+        for n in 1..=20 {
+            let first = held.pop_front().unwrap();
+            assert_eq!(first.port().1, n, "{end}");
+            drop(first);
+            held.extend((n + (limits.held as u64) <= 20).then(next));
+        }
+    }
 }

@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::time::{Duration, Instant};
 use tautline_relay::FarGraph;
 use tautline_schema::{TypeHash, TypeName};
-use tautline_transport::{Durability, EndpointKind::Publisher, RemoteNode};
+use tautline_transport::{Durability, EndpointKind::Publisher, Gid, RemoteNode};
 
 /// How long, and for how many publishers, a normal end is remembered.
 const ENDED_TIME: Duration = Duration::from_secs(10);
@@ -108,6 +108,15 @@ impl Graph {
             }
         }
         there
+    }
+
+    /// The publishers of a topic.
+    pub(crate) fn publishers(&self, topic: &str) -> BTreeSet<Gid> {
+        let topics = self.tokens.values().filter_map(|(_, entity)| match entity {
+            RemoteEntity::Topic(end) if end.kind == Publisher && end.topic == topic => Some(end.gid),
+            _ => None,
+        });
+        topics.collect()
     }
 
     /// Stores that a gateway announced the normal end of a publisher, whose token disappears next.

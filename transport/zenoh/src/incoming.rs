@@ -8,13 +8,13 @@
 use crate::kept::{KeptSamples, Placed, Publisher, Request, SessionId, Target};
 use crate::unclaimed::{ClaimQueue, Claimant, Claimed, Next, Unclaimed};
 use crate::wire::{Attachment, ENCAPSULATION, Malformed, TopicKey, check_encapsulation};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 use tautline_relay::{Body, Delivery, Ingress, IngressUpdate, Inward, MessageMeta, Refused};
 use tautline_rt::PiMutex;
 use tautline_rt::clock::wall_ns;
-use tautline_transport::{Durability, LoanError, Reliability};
+use tautline_transport::{Durability, Gid, LoanError, Reliability};
 use zenoh::bytes::ZBytes;
 use zenoh::pubsub::Subscriber;
 use zenoh::query::{ConsolidationMode, QueryTarget, Reply, ReplyKeyExpr};
@@ -141,6 +141,11 @@ impl Incoming {
         retries.count += 1;
         let missing = self.gate.with(|way| way.kept.as_ref().map(|kept| kept.missing(keeping)));
         missing.into_iter().flatten().for_each(|request| retries.requests.send(Some(request)));
+    }
+
+    /// Takes only the last samples of publishers that are not `present`. Returns whether there are such publishers.
+    pub(crate) fn close(&self, present: &BTreeSet<Gid>) -> bool {
+        self.gate.with(|way| way.port.ingress.close(present))
     }
 
     pub(crate) fn change(&self, change: IngressUpdate) {

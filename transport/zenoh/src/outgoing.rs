@@ -8,8 +8,9 @@
 //! local publishers are not affected.
 
 use crate::rules::{BULK_BYTES, Rule, Urgency, urgency_of};
-use crate::wire::{Attachment, ENCAPSULATION, TopicKey, WireQos};
+use crate::wire::{Attachment, ENCAPSULATION, Token, TopicKey, WireQos, endpoint_gid};
 use std::any::Any;
+use std::cell::RefCell;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock, mpsc};
 use std::time::{Duration, Instant};
@@ -23,6 +24,7 @@ use tautline_transport::{
 };
 use zenoh::bytes::ZBytes;
 use zenoh::internal::buffers::{ZBuf, ZSlice, ZSliceBuffer};
+use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::Publisher;
 use zenoh::qos::CongestionControl;
 use zenoh::sample::Locality;
@@ -68,9 +70,12 @@ pub(crate) struct Identity {
 
 /// Mirrors a publisher on the network.
 pub(crate) struct Writer {
-    pub(crate) identity: Identity,
+    /// Shared with senders and waiting samples, as long as there are any.
+    pub(crate) identity: Arc<Identity>,
     session: Session,
     key: TopicKey,
+    /// Tokens of the publisher and its node, which have ended, until its last samples are sent.
+    tokens: RefCell<Vec<(Token, Arc<LivelinessToken>)>>,
     /// A publisher, declared when the writer's samples are first needed, and when: while it exists, Zenoh knows the key's subscribers.
     scout: OnceLock<(Option<Publisher<'static>>, Instant)>,
 }
@@ -80,7 +85,18 @@ const FIND_TIME: Duration = Duration::from_secs(1);
 
 impl Writer {
     pub(crate) fn new(identity: Identity, session: &Session, key: TopicKey) -> Self {
-        Writer { identity, session: session.clone(), key, scout: OnceLock::new() }
+        let (identity, session) = (Arc::new(identity), session.clone());
+        Writer { identity, session, key, tokens: RefCell::default(), scout: OnceLock::new() }
+    }
+
+    /// Holds a withdrawn token of its publisher, or then of that one's node, until this is dropped: other hosts take the samples of announced
+    /// publishers.
+    pub(crate) fn hold(&self, token: &Token, declared: &Arc<LivelinessToken>) {
+        let mut tokens = self.tokens.borrow_mut();
+        let is_publishers = token.endpoint.is_some() && endpoint_gid(token) == self.identity.wire_gid;
+        let is_nodes =
+            token.endpoint.is_none() && tokens.iter().any(|(held, _)| held.node_id == token.node_id);
+        tokens.extend((is_publishers || is_nodes).then(|| (token.clone(), declared.clone())));
     }
 
     fn scout(&self) -> (Option<Publisher<'static>>, Instant) {
@@ -102,6 +118,11 @@ impl FarWriter for Writer {
         let is_found =
             |scout: &Publisher<'_>| !scout.matching_status().wait().is_ok_and(|found| !found.matching());
         since.elapsed() >= FIND_TIME || scout.as_ref().is_none_or(is_found)
+    }
+
+    /// False while samples may still be taken or wait for the link.
+    fn is_settled(&self) -> bool {
+        Arc::strong_count(&self.identity) == 1
     }
 }
 
@@ -176,8 +197,8 @@ impl Network {
         let Some(queue) = self.queue(sender) else {
             return count(counters, publisher.put(payload, &attachment, traced), len_bytes, &attachment);
         };
-        let (publisher, counters) = (publisher.clone(), counters.clone());
-        queue.push(QueuedSample { publisher, payload, attachment, len_bytes, traced, counters });
+        let (publisher, counters, _writer) = (publisher.clone(), counters.clone(), sender.writer.clone());
+        queue.push(QueuedSample { publisher, payload, attachment, len_bytes, traced, counters, _writer });
     }
 }
 
@@ -185,7 +206,7 @@ impl Network {
 pub(crate) struct NetworkSender {
     session: Session,
     key: TopicKey,
-    writer: Identity,
+    writer: Arc<Identity>,
     publisher: Arc<AnyPublisher>,
     urgency: Urgency,
     /// Whether the priority is a guess, because no rule sets it and no sample has come.
@@ -206,7 +227,7 @@ impl NetworkSender {
     pub(crate) fn declare(
         session: &Session,
         key: &TopicKey,
-        writer: &Identity,
+        writer: &Arc<Identity>,
         rules: &[Rule],
     ) -> zenoh::Result<Self> {
         let rule = urgency_of(rules, &key.topic);
@@ -348,6 +369,7 @@ struct QueuedSample {
     len_bytes: usize,
     traced: TracedSample,
     counters: Arc<TopicCounters>,
+    _writer: Arc<Identity>,
 }
 
 impl QueuedSample {
@@ -360,7 +382,7 @@ fn send_waiting(samples: &mpsc::Receiver<QueuedSample>, waiting_bytes: &AtomicUs
     while let Ok(sample) = samples.recv() {
         // The sample that is being sent does not count, so that the next large one is queued by the time it is sent.
         waiting_bytes.fetch_sub(sample.waiting_bytes(), Ordering::Relaxed);
-        let QueuedSample { publisher, payload, attachment, len_bytes, traced, counters } = sample;
+        let QueuedSample { publisher, payload, attachment, len_bytes, traced, counters, _writer } = sample;
         count(&counters, publisher.put(payload, &attachment, traced), len_bytes, &attachment);
     }
 }

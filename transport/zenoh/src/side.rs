@@ -39,8 +39,14 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(60);
 const ENDED_TIME: Duration = Duration::from_secs(10);
 const MOST_ENDED: usize = 4096;
 
+/// How long an incoming topic without publishers is still taken: its last samples may wait in a link behind the ends of their publishers,
+/// which Zenoh sends first.
+const LINGER_TIME: Duration = Duration::from_secs(1);
+
 pub(crate) struct NetworkSide {
     incoming: BTreeMap<InKey, Incoming>,
+    /// Stopped ones, and when they were stopped.
+    lingering: Vec<(Instant, InKey, Incoming)>,
     claims: ClaimThread,
     declared: HashMap<String, LivelinessToken>,
     /// Announcements of publishers' ends, kept until other hosts have received them.
@@ -78,9 +84,10 @@ impl NetworkSide {
         let host = tautline_rt::host::name();
         let transit = Transit::to_network(participant.domain_id(), participant.id(), zid, &host);
         let transit = transit.going_on(options.transit);
-        let (incoming, declared, ended, retry, changes, undescribed) = Default::default();
+        let (incoming, lingering, declared, ended, retry, changes, undescribed) = Default::default();
         let side = NetworkSide {
             incoming,
+            lingering,
             claims,
             declared,
             ended,
@@ -104,7 +111,7 @@ impl NetworkSide {
         wire_key(self.options.domain_there(), key)
     }
 
-    fn apply(&mut self, change: TokenChange) {
+    fn apply(&mut self, change: TokenChange, writers: &Writers<Writer>) {
         match change {
             TokenChange::Declare(token) => {
                 let text = token.to_string();
@@ -113,7 +120,11 @@ impl NetworkSide {
                     Err(error) => tracing::warn!("token {text} is not declared: {error}"),
                 }
             }
-            TokenChange::Withdraw(token) => drop(self.declared.remove(&token.to_string())),
+            TokenChange::Withdraw(token) => {
+                if let Some(declared) = self.declared.remove(&token.to_string()).map(Arc::new) {
+                    writers.settling().for_each(|writer| writer.hold(&token, &declared));
+                }
+            }
             TokenChange::Ended(tag) => {
                 if self.ended.len() >= MOST_ENDED {
                     self.ended.pop_front();
@@ -283,9 +294,9 @@ impl FarSide for NetworkSide {
 
     fn service_context(&self) {}
 
-    fn announce(&mut self, _: &LocalGraph, _: &Transit, _: &Writers<Writer>) {
+    fn announce(&mut self, _: &LocalGraph, _: &Transit, writers: &Writers<Writer>) {
         for change in std::mem::take(&mut self.changes) {
-            self.apply(change);
+            self.apply(change, writers);
         }
     }
 
@@ -296,6 +307,7 @@ impl FarSide for NetworkSide {
             self.resync();
         }
         self.ended.retain(|(since, _)| since.elapsed() < ENDED_TIME);
+        self.lingering.retain(|(since, ..)| since.elapsed() < LINGER_TIME);
         self.request_types();
         self.retry_kept();
         is_due
@@ -338,7 +350,9 @@ impl FarSide for NetworkSide {
     fn start_in(&mut self, key: &InKey, inward: &Inward, ingress: Ingress) -> Result<(), String> {
         let wire_key = self.wire_key(&key.topic)?;
         // After a restart, kept samples are requested again, so that the new port has them for local late joiners.
-        let old = self.incoming.remove(key);
+        let lingering = self.lingering.iter().position(|(_, of, _)| of == key);
+        let lingering = lingering.map(|at| self.lingering.remove(at).2);
+        let old = self.incoming.remove(key).or(lingering);
         if self.types.schema(&wire_key.type_id).is_none() {
             self.undescribed.insert(wire_key.clone());
             self.descriptions.request(&self.session, &wire_key, &self.graph);
@@ -366,7 +380,11 @@ impl FarSide for NetworkSide {
         {
             self.descriptions.forget(&wire_key.type_id);
         }
-        self.incoming.remove(key);
+        if let Some(incoming) = self.incoming.remove(key)
+            && incoming.close(&self.graph.publishers(&key.topic.far_topic))
+        {
+            self.lingering.push((Instant::now(), key.clone(), incoming));
+        }
     }
 
     fn report(&mut self, report: Report, _: &Writers<Writer>) {

@@ -4,8 +4,9 @@
 mod support;
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use support::{Host, connect, string_type, take, until};
-use tautline_transport::{PublishError, Qos, RawSubscription};
+use support::{Host, connect, image_type, stats, string_type, take, until};
+use tautline_gateway::Direction;
+use tautline_transport::{Limits, Participant, PublishError, Qos, RawSubscription};
 
 fn numbers(subscription: &RawSubscription, count: u64) -> Vec<u64> {
     let mut numbers = Vec::new();
@@ -102,4 +103,33 @@ fn a_burst_waits_for_the_links_thread() {
         has_ended.store(true, Ordering::Relaxed);
         outcome.unwrap_or_else(|panic| std::panic::resume_unwind(panic));
     });
+}
+
+/// More than a subscription may hold at once.
+#[test]
+fn a_burst_of_large_samples_arrives_though_its_publisher_ends() {
+    const COUNT: u64 = 20;
+    let a = Host::first(61, 61);
+    let b = Host::beside(&a, 128);
+    let qos = Qos::keep_last(COUNT as usize);
+    let subscription = b.subscription("/camera", &image_type(), qos);
+    let mut image = vec![0; 1 << 20];
+    for round in 0..10 {
+        // Its process ends, too.
+        let ending = Participant::new(61).unwrap();
+        let publisher =
+            ending.create_raw_publisher("/camera", &image_type(), qos, Limits::default()).unwrap();
+        connect(&publisher, &[&subscription], b"probe");
+        for n in 0..COUNT {
+            image[..8].copy_from_slice(&n.to_le_bytes());
+            publisher.publish(&image).unwrap();
+        }
+        drop((publisher, ending));
+        let first = |_| u64::from_le_bytes(take(&subscription).body()[..8].try_into().unwrap());
+        assert!((0..COUNT).map(first).eq(0..COUNT), "round {round}");
+        let lost = |host, direction| stats(host, "/camera", direction).map_or(0, |stats| stats.reading.lost);
+        assert_eq!((lost(&a, Direction::Out), lost(&b, Direction::In)), (0, 0), "round {round}");
+    }
+    let is_announced = || b.participant.graph().unwrap().endpoints.iter().any(|end| end.is_remote);
+    until("the publishers' ends", || !is_announced());
 }
