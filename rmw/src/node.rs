@@ -126,7 +126,7 @@ exported! {
         behind.watch_graph(&signal);
         let graph_guard = guard::create(context, signal)?;
         let full_name = format!("{}/{name}", namespace.trim_end_matches('/'));
-        behind.system.warn_of_unseen(&full_name);
+        behind.system.warn_of_ungoverned(&full_name);
         let endpoints = Mutex::default();
         let traced = tautline_trace::node_init(behind.participant.trace_id(), name, namespace);
         let node =

@@ -3,7 +3,7 @@
 
 use crate::error::{Error, Result};
 use crate::thread::{self, ThreadPlan};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::Duration;
@@ -22,6 +22,8 @@ use tautline_transport::{History, Qos, Reliability};
 const OF_EVERY_NODE: [&str; 2] = ["/parameter_events", "/clock"];
 /// Topics for which client libraries have threads of their own.
 const OF_OTHER_THREADS: [&str; 3] = ["/clock", "/tf", "/tf_static"];
+/// Beginnings of names of nodes that client libraries create for another node.
+const OF_HELPERS: [&str; 2] = ["transform_listener_impl_", "launch_ros_"];
 /// Services that client libraries create for a node, below its name.
 const SERVICES_OF_EVERY_NODE: [&str; 9] = [
     "describe_parameters",
@@ -314,8 +316,11 @@ impl System {
         Ok(Some(Timer { measured, thread }))
     }
 
-    /// Warns of threads of `node`, a full name, that an RMW cannot recognise, because they run only timers.
-    pub(crate) fn warn_of_unseen(&self, node: &str) {
+    /// Warns of what the file lacks for `node`, a full name: the whole node, or how to recognise threads that run only timers.
+    pub(crate) fn warn_of_ungoverned(&self, node: &str) {
+        if self.is_governing() && !self.callbacks.iter().any(|callback| Self::is_of(callback, node)) {
+            return self.warn_of_unlisted_node(node);
+        }
         if self.thread_of_timers(node).is_some() {
             return;
         }
@@ -339,6 +344,28 @@ impl System {
                 );
             }
         }
+    }
+
+    /// Warns of a node that the file does not list, unless its name says that it helps another one or a tool.
+    fn warn_of_unlisted_node(&self, node: &str) {
+        let name = node.rsplit('/').next().unwrap_or(node);
+        if name.starts_with('_') || OF_HELPERS.iter().any(|prefix| name.starts_with(prefix)) {
+            return;
+        }
+        let mut all = self.file.iter().flat_map(LoadedSystem::callbacks);
+        if let Some(callback) = all.find(|callback| Self::is_of(callback, node)) {
+            return tracing::warn!(
+                "node `{node}` runs in an executor of ROS, but callback `{}` of the system file is one of Tautline: nothing governs its threads; \
+                 state `client = \"rclcpp\"` or \"rclpy\" for its callbacks",
+                callback.entry.name
+            );
+        }
+        let known: BTreeSet<&str> = self.callbacks.iter().map(|callback| &*callback.entry.node).collect();
+        let known = Vec::from_iter(known).join("`, `");
+        tracing::warn!(
+            "node `{node}` is not in the system file, which has `{known}` on this host: nothing governs its threads; list its callbacks, \
+             or correct its name there"
+        );
     }
 
     /// The statistics of this name, which are created if there are none.

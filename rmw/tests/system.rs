@@ -312,6 +312,7 @@ def heard(_): policies.append(os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
 subscriptions = [node.create_subscription(String, topic, heard, 10) for node, topic in zip(nodes, topics)]
 publishers = [source.create_publisher(String, topic, 10) for topic in topics]
 if how == "more":
+    ours = rclpy.create_node("ours")
     unknown = nodes[0].create_subscription(String, "/unknown", heard, 10)
     services = [nodes[0].create_service(SetBool, name, lambda request, response: response) for name in ("listed", "own")]
     print("runs", flush=True)
@@ -378,7 +379,8 @@ fn what_file_and_node_lack_of_each_other_is_named() {
     let silent =
         "[callbacks.silent]\nnode = \"/one/listener\"\nperiod = \"1s\"\nwcet = \"1ms\"\npriority = 30\n"
             .to_owned();
-    let more = [callback("gone", "/gone"), callback("listed", "request:/one/listed"), silent].concat();
+    let ours = silent.replace("silent", "ours").replace("/one/listener", "/ours");
+    let more = [callback("gone", "/gone"), callback("listed", "request:/one/listed"), silent, ours].concat();
     std::fs::write(file.path(), wrong_file(0, &more)).unwrap();
     let mut command = wrong(&domain, "more", file.path(), "required", &[]);
     let output = said.reopen().unwrap();
@@ -395,6 +397,12 @@ fn what_file_and_node_lack_of_each_other_is_named() {
     for topic in ["/unknown", "request:/one/own"] {
         let text = format!("no callback of node `/one/listener` with `topic = \"{topic}\"`");
         assert!(words().contains(&text), "{topic}: {}", words());
+    }
+    for text in [
+        "node `/source` is not in the system file, which has `/one/listener`, `/two/listener` on this host",
+        "node `/ours` runs in an executor of ROS, but callback `ours` of the system file is one of Tautline",
+    ] {
+        assert!(words().contains(text), "{text}: {}", words());
     }
     assert_eq!(
         words().matches("add it to the file").count(),
