@@ -48,7 +48,7 @@ fn show() -> Result<()> {
     let statistics = group.add(
         "timer",
         timer,
-        |tick: &Tick| tick.release_ns,
+        |tick: &Tick| tick.since_ns,
         move |tick| {
             println!("timer    released at {} ms", (tick.release_ns - start_ns) / 1_000_000);
             if tick.index == 2 {

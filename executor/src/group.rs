@@ -78,8 +78,8 @@ impl CallbackGroup {
         self.kept.push(Box::new(what));
     }
 
-    /// Adds a callback for the items of a stream. `release` returns an item's release in `CLOCK_MONOTONIC` ns; a
-    /// stream's items must arrive in order of release. Neither the items nor the callback's futures need to be
+    /// Adds a callback for the items of a stream. `release` returns an item's release in `CLOCK_MONOTONIC` ns, of a timer's tick its
+    /// `since_ns`; a stream's items must arrive in order of release. Neither the items nor the callback's futures need to be
     /// `Send`.
     ///
     /// `member` is a name, or [`CallbackOptions`]. A member uses only their name, period, deadline, budget, bound and

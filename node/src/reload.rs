@@ -185,6 +185,8 @@ fn request_reload(
             return answer;
         }
         if patience.is_over() {
+            // Once it runs again, it must not follow an order that has failed.
+            let _ = process.order(0, 0, false);
             return Err(format!("it has not answered for {PATIENCE:?}; is it stopped?"));
         }
         std::thread::sleep(Duration::from_millis(1));

@@ -91,7 +91,15 @@ impl TransformListener {
             fixed.map(|sample| Some((sample, Kind::Static))),
         );
         let leaps = leap.clone();
-        let leaps = stream::poll_fn(move |context| leaps.poll(context)).map(|()| None);
+        #[cfg(feature = "rosgraph_msgs")]
+        let time = node.time_source().waiter()?;
+        let leaps = stream::poll_fn(move |context| {
+            // Nobody else may read the time.
+            #[cfg(feature = "rosgraph_msgs")]
+            time.update(context);
+            leaps.poll(context)
+        });
+        let leaps = leaps.map(|()| None);
         let logger = node.logger().clone();
         let callback = stream::select(leaps, both).for_each(move |event| {
             // A message that was published after a leap may be taken before the leap is polled.

@@ -15,8 +15,6 @@ use tautline_transport::NodeHandle;
 
 /// A periodic timer: absolute releases, no drift, missed ones counted. A stream of [`Tick`]s, or [`tick`](Timer::tick).
 ///
-/// For a timer on simulated time, a tick's `release_ns` is on that clock.
-///
 /// On a callback thread each tick is a job: its response time counts from the time at which it was due.
 #[must_use = "nothing happens unless it is polled; dropping it ends it"]
 pub struct Timer {
@@ -50,10 +48,9 @@ impl Inner {
         }
     }
 
-    /// The next release, and the `CLOCK_MONOTONIC` time since which it could be served.
-    fn poll_tick(&mut self, context: &mut Context<'_>) -> Poll<(Tick, u64)> {
+    fn poll_tick(&mut self, context: &mut Context<'_>) -> Poll<Tick> {
         match self {
-            Inner::Wall(timer) => timer.poll_tick(context).map(|tick| (tick, tick.release_ns)),
+            Inner::Wall(timer) => timer.poll_tick(context),
             #[cfg(feature = "rosgraph_msgs")]
             Inner::Ros(timer) => timer.poll_tick(context),
         }
@@ -112,10 +109,10 @@ impl Timer {
         if self.node.has_ended() {
             return Poll::Ready(None);
         }
-        poll.map(|(tick, since_ns)| {
+        poll.map(|tick| {
             // A timer queues nothing: releases while its callback is busy are missed, except the latest.
             job::note_queue(job::QueueState { lost: tick.missed, max_queue: 1, depth: 1 });
-            self.job = Some(job::begin_for(self.trace.id(), since_ns));
+            self.job = Some(job::begin_for(self.trace.id(), tick.since_ns));
             Some(tick)
         })
     }

@@ -93,7 +93,7 @@ fn groups_and_timers_wake_it_too() {
     let mut group = CallbackGroup::new();
     let released_ns = |sample: &Sample<Number>| sample.info().released_ns;
     group.add("number", numbers, released_ns, |_| async { LOG.add("number") });
-    group.add("tick", timer, |tick: &Tick| tick.release_ns, |_| async { LOG.add("tick") });
+    group.add("tick", timer, |tick: &Tick| tick.since_ns, |_| async { LOG.add("tick") });
     node.spawn_group(direct(), group).unwrap();
     publish(&publisher, 1);
     assert_eq!(LOG.wait_for(1), ["number"], "nobody spins, so the timer is silent");

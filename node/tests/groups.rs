@@ -45,7 +45,7 @@ fn jobs_run_in_order_of_release_across_topics_and_a_timer() {
         group.add(
             "timer",
             timer,
-            |tick: &Tick| tick.release_ns,
+            |tick: &Tick| tick.since_ns,
             |tick| async move { LOG.add(("timer", tick.release_ns)) },
         ),
     ];

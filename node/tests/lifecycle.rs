@@ -220,7 +220,7 @@ fn a_panic_is_an_error_and_a_transition_in_a_transition_is_refused() {
     assert_eq!(node.configure(), done(CallbackReturn::Error, State::Unconfigured));
     let seen = SEEN.events();
     assert!(seen[0].starts_with("configuring: the node is in state 'configuring'"), "{}", seen[0]);
-    assert_eq!(seen[1], "error of configuring");
+    assert_eq!(seen[1], "error of unconfigured");
     own.lock().unwrap().take();
 }
 

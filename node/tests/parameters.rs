@@ -116,6 +116,17 @@ fn bad_use_is_an_error_that_says_what_to_do() {
     assert!(!node.parameters().has("port") && node.declare_parameter("port", 8080).is_ok());
 }
 
+/// Of a node that declares no parameters.
+#[test]
+fn what_was_set_is_deleted_by_setting_nothing() {
+    let parameters = node("").unwrap().parameters().clone();
+    let absent = reason(parameters.set("x", ParameterValue::NotSet));
+    assert!(absent.starts_with("parameter 'x' is not declared"), "{absent}");
+    parameters.set("x", 1).unwrap();
+    parameters.set("x", ParameterValue::NotSet).unwrap();
+    assert!(!parameters.has("x"));
+}
+
 #[test]
 fn callbacks_check_all_values_of_a_change_and_set_none() {
     let mut node = node("").unwrap();
@@ -357,19 +368,37 @@ fn a_struct_is_checked_and_may_be_changed_by_the_program() {
 fn what_is_given_must_fit_the_struct() {
     for (arguments, expected) in [
         ("--ros-args -p limits.retries:=300", "parameter 'limits.retries': 300 does not fit"),
+        ("--ros-args -p gain:=9.0 -p limits.retries:=300", "parameter 'limits.retries': 300 does not fit"),
         ("--ros-args -p limits.steps:=9", "parameter 'limits.steps': 9 is not in -3..=3"),
         ("--ros-args -p gain:=1", "parameter 'gain' is of type double, but 1 is of type integer"),
     ] {
         let parameters = node(arguments).unwrap().parameters().clone();
         let before = parameters.names();
-        let error = reason(parameters.declare_struct(Arc::new(Mutex::new(Controller::default()))));
+        let controller = Arc::new(Mutex::new(Controller::default()));
+        let error = reason(parameters.declare_struct(controller.clone()));
         assert!(error.starts_with(expected), "{error}");
+        assert_eq!(*controller.lock().unwrap(), Controller::default());
         assert_eq!(parameters.names(), before, "all fields are declared, or none");
         assert!(
             before
                 .iter()
                 .all(|name| *name == "use_sim_time" || reason(parameters.set(name, 1)) == "no error")
         );
+    }
+}
+
+#[test]
+fn what_is_given_counts_in_place_of_the_structs_value() {
+    #[derive(RosParams, Default)]
+    struct Positive {
+        #[param(range = 1.0..=10.0)]
+        gain: f64,
+    }
+    for (arguments, expected) in
+        [("", "parameter 'gain': 0.0 is not in 1.0..=10.0"), ("--ros-args -p gain:=5.0", "no error")]
+    {
+        let parameters = node(arguments).unwrap().parameters().clone();
+        assert_eq!(reason(parameters.declare_struct(Arc::new(Mutex::new(Positive::default())))), expected);
     }
 }
 

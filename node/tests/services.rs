@@ -343,6 +343,23 @@ fn json_to_a_typed_server_and_a_typed_client_to_a_json_server() {
     assert!(error.contains("no_msgs/srv/None"), "{error}");
 }
 
+/// The request is gone with the response that could not be sent: its client waits for nothing more.
+#[cfg(feature = "untyped")]
+#[test]
+fn a_response_that_cannot_be_sent_ends_the_request() {
+    use serde_json::json;
+    use tautline::Json;
+    let (mut node, _spinning) = spinning_node(52, "wrong_json");
+    let requests = node.create_service_untyped("wrong_json", "std_srvs/srv/SetBool", QOS()).unwrap().owned();
+    let respond = |request: tautline::ServiceRequest<Json>| async move {
+        let error = request.respond(Json(json!({ "no such field": 1 }))).unwrap_err();
+        assert!(error.to_string().contains("no such field"), "{error}");
+    };
+    node.spawn_callback(CallbackOptions::other(), requests.for_each(respond)).unwrap();
+    let client = node.create_client::<SetBool::Service>("wrong_json").unwrap();
+    assert!(block_on(client.request(&SetBool::Request { data: true }).unwrap()).is_err());
+}
+
 #[cfg(feature = "untyped")]
 #[test]
 fn json_is_read_and_answered_in_place() {

@@ -105,12 +105,12 @@ fn simulated_time_that_leaps_back_forgets_what_moved() {
     let mut fixed = StaticTransformBroadcaster::new(&mut node).unwrap();
     let moving = TransformBroadcaster::new(&mut node).unwrap();
     let _spinning = spin(&context);
-    let (buffer, shown) = (listener.buffer(), node.clock());
+    let buffer = listener.buffer();
     let show = |sec: i32| {
         let mut now = Clock::default();
         now.clock.sec = sec;
+        // Nobody else reads the time.
         clock.publish(&now).unwrap();
-        eventually("the clock", || shown.now_ns() == i64::from(sec) * 1_000 * MS);
     };
     show(100);
     fixed.send_transform(&stamped("base", "laser", 0, 0.5)).unwrap();

@@ -7,11 +7,11 @@ use std::task::Poll;
 use std::time::Duration;
 
 use common::{Log, context, spin};
-use futures::StreamExt;
+use futures::{FutureExt, StreamExt};
 use tautline::rosgraph_msgs::msg::Clock as ClockMessage;
 use tautline::{
-    CallbackOptions, Clock, ClockChange, ClockJump, ClockType, Context, Error, JumpThreshold, Node,
-    Publisher, Qos, Realtime,
+    CallbackGroup, CallbackOptions, Clock, ClockChange, ClockJump, ClockType, Context, Error, JumpThreshold,
+    Node, Publisher, Qos, Realtime, Tick,
 };
 
 /// A context whose nodes show simulated time, and who tells it.
@@ -153,6 +153,59 @@ fn timers_change_over_when_the_clock_does() {
     let so_far = TICKS.events().len();
     let indices = TICKS.wait_for(so_far + 3);
     assert!(indices.windows(2).all(|pair| pair[0] < pair[1]), "{indices:?}");
+}
+
+/// By how long it waited, whatever the simulated clock shows.
+#[test]
+fn a_simulated_timer_in_a_group_responds_from_when_it_could_run() {
+    static RELEASES: Log<u64> = Log::new();
+    let (ctx, _simulator, publisher) = simulation(180);
+    let mut node = Node::create(ctx.clone(), "robot", "").unwrap();
+    let timer = node.create_timer(ms(1000)).unwrap();
+    let mut group = CallbackGroup::new();
+    let stats = group.add(
+        "timer",
+        timer,
+        |tick: &Tick| tick.since_ns,
+        |tick| async move { RELEASES.add(tick.release_ns) },
+    );
+    let callback = node.spawn_group(CallbackOptions::other().name("group"), group).unwrap();
+    let _spinning = spin(&ctx);
+    let started = std::time::Instant::now();
+    let mut now = 1000;
+    while RELEASES.events().is_empty() {
+        now += 1000;
+        tell(&publisher, now);
+        std::thread::yield_now();
+    }
+    callback.stop();
+    callback.join().unwrap();
+    assert!(RELEASES.events()[0] >= 2_000_000_000);
+    let longest = stats.response().snapshot().max();
+    assert!(longest <= started.elapsed(), "{longest:?}");
+}
+
+/// A thread that comes to poll late keeps the sampler awake no longer than one release.
+#[test]
+fn a_sleep_rings_once() {
+    let ctx = context(180);
+    let clock = Clock::new(ClockType::SteadyTime);
+    let until = clock.now() + Duration::from_micros(100);
+    let mut sleep = std::pin::pin!(clock.sleep_until(until, &ctx));
+    if sleep.as_mut().now_or_never().is_some() {
+        // It was over before it was polled.
+        return;
+    }
+    while clock.now() < until {
+        ctx.spin_once(Duration::ZERO);
+    }
+    let is_quiet = (0..10).any(|_| {
+        let start = std::time::Instant::now();
+        ctx.spin_once(ms(20));
+        start.elapsed() >= ms(20)
+    });
+    assert!(is_quiet);
+    assert!(sleep.now_or_never().is_some());
 }
 
 #[test]

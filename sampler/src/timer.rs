@@ -14,8 +14,10 @@ use tautline_transport::{Slot, TransportError};
 /// One release of a timer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Tick {
-    /// The time at which this release was due, in `CLOCK_MONOTONIC` nanoseconds.
+    /// The time at which this release was due, in `CLOCK_MONOTONIC` nanoseconds, or on the simulated clock of a ROS timer.
     pub release_ns: u64,
+    /// The `CLOCK_MONOTONIC` time since which it could be served, in nanoseconds: `release_ns`, unless that is simulated.
+    pub since_ns: u64,
     /// The number of the release, from 1.
     pub index: u64,
     /// Releases since the previous tick that were not taken.
@@ -100,7 +102,7 @@ impl Timer {
         self.seen = released;
         self.missed += missed;
         let release_ns = self.first_release_ns + (released - 1) * self.period_ns;
-        Poll::Ready(Tick { release_ns, index: released, missed })
+        Poll::Ready(Tick { release_ns, since_ns: release_ns, index: released, missed })
     }
 }
 
@@ -134,13 +136,13 @@ mod tests {
         let words = state.timers.at(slot);
         let mut poll = || timer.poll_tick(&mut Context::from_waker(Waker::noop()));
         sampler.spin_once(Some(Duration::ZERO));
-        assert_eq!(poll(), Poll::Ready(Tick { release_ns: start, index: 1, missed: 0 }));
+        assert_eq!(poll(), Poll::Ready(Tick { release_ns: start, since_ns: start, index: 1, missed: 0 }));
         words.released.store(0, Ordering::Release);
         assert_eq!(poll(), Poll::Pending, "counted anew, and not there yet");
         words.released.store(1, Ordering::Release);
         assert_eq!(poll(), Poll::Pending, "it was seen");
         words.released.store(3, Ordering::Release);
         let release_ns = start + 2 * nanoseconds(hour);
-        assert_eq!(poll(), Poll::Ready(Tick { release_ns, index: 3, missed: 1 }));
+        assert_eq!(poll(), Poll::Ready(Tick { release_ns, since_ns: release_ns, index: 3, missed: 1 }));
     }
 }

@@ -71,7 +71,15 @@ fn missed_releases_are_counted_and_come_as_one() {
     let start = now - late * period - period / 2;
     let mut timer = Timer::starting_at(sampler.events(), start, Duration::from_nanos(period)).unwrap();
     let tick = next(&mut sampler, &mut timer);
-    assert_eq!(tick, Tick { release_ns: start + late * period, index: late + 1, missed: late });
+    assert_eq!(
+        tick,
+        Tick {
+            release_ns: start + late * period,
+            since_ns: start + late * period,
+            index: late + 1,
+            missed: late
+        }
+    );
     assert_eq!(sampler.spin_once(Some(Duration::ZERO)), 0);
     assert!(poll(&mut timer).is_pending(), "one tick, not a bunch");
     assert_eq!(timer.missed(), late);
@@ -267,7 +275,7 @@ fn thousands_of_timers_tick_and_their_slots_come_back() {
             sampler.spin_once(Some(HOUR));
             timers.retain_mut(|timer| match poll(timer) {
                 Poll::Ready(tick) => {
-                    assert_eq!(tick, Tick { release_ns: start, index: 1, missed: 0 });
+                    assert_eq!(tick, Tick { release_ns: start, since_ns: start, index: 1, missed: 0 });
                     false
                 }
                 Poll::Pending => true,

@@ -47,7 +47,8 @@ pub trait LifecycleCallbacks: Send + 'static {
         CallbackReturn::Success
     }
 
-    /// Clears up after a callback's error. Success leads back to unconfigured.
+    /// Clears up after a callback's error. `previous` is the state before the transition that failed, as in rclcpp. Success leads back to
+    /// unconfigured.
     fn on_error(&mut self, node: &mut ManagedNode, previous: State) -> CallbackReturn {
         let _ = (node, previous);
         CallbackReturn::Failure
@@ -289,11 +290,11 @@ impl Inner {
     /// Runs the callback of a transition that has begun, and that of an error.
     fn run(&mut self, begun: Transition, state: &AtomicU8) -> Transitioned {
         self.note(begun, state);
-        let result = self.call(begun);
+        let result = self.call(begun.goal, begun.start);
         if let Some(done) = self.machine.finish(result) {
             self.note(done, state);
             if done.goal == State::ErrorProcessing {
-                let cleared = self.call(done);
+                let cleared = self.call(done.goal, begun.start);
                 if let Some(done) = self.machine.finish(cleared) {
                     self.note(done, state);
                 }
@@ -302,10 +303,10 @@ impl Inner {
         Transitioned { result, state: self.machine.state() }
     }
 
-    /// The callback of the state that `begun` leads to.
-    fn call(&mut self, begun: Transition) -> CallbackReturn {
-        let (callbacks, node, previous) = (&mut self.callbacks, &mut self.node, begun.start);
-        let call = AssertUnwindSafe(|| match begun.goal {
+    /// Calls the callback of `state`, which a transition from the primary state `previous` has reached.
+    fn call(&mut self, state: State, previous: State) -> CallbackReturn {
+        let (callbacks, node) = (&mut self.callbacks, &mut self.node);
+        let call = AssertUnwindSafe(|| match state {
             State::Configuring => callbacks.on_configure(node),
             State::Activating => callbacks.on_activate(node),
             State::Deactivating => callbacks.on_deactivate(node),
@@ -314,7 +315,7 @@ impl Inner {
             _ => callbacks.on_error(node, previous),
         });
         catch_unwind(call).unwrap_or_else(|_| {
-            tracing::error!("a callback panicked in state '{}': this counts as its error", begun.goal);
+            tracing::error!("a callback panicked in state '{state}': this counts as its error");
             CallbackReturn::Error
         })
     }

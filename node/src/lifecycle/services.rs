@@ -13,12 +13,11 @@ use tautline_transport::Qos;
 
 impl LifecycleNode {
     /// Offers the node's services, as in ROS 2: `~/change_state`, `~/get_state`, `~/get_available_states`,
-    /// `~/get_available_transitions` and `~/get_transition_graph`. They respond as long as the future is polled. It never ends:
-    /// give it its own callback. Callbacks of transitions that are requested by service run there. If they create topics, this
-    /// callback needs a stack as large as a program's own
-    /// ([`CallbackOptions::stack_bytes`](crate::CallbackOptions::stack_bytes)). While one of them runs, the other services do
-    /// not respond. To avoid this, use [`serve_changes`](Self::serve_changes) and [`serve_states`](Self::serve_states) on two
-    /// callbacks.
+    /// `~/get_available_transitions` and `~/get_transition_graph`. They respond as long as the future is polled. It never ends, and keeps the
+    /// node: give it its own callback, and stop that to end the node. Callbacks of transitions that are requested by service run there. If
+    /// they create topics, this callback needs a stack as large as a program's own
+    /// ([`CallbackOptions::stack_bytes`](crate::CallbackOptions::stack_bytes)). While one of them runs, the other services do not respond,
+    /// unless [`serve_changes`](Self::serve_changes) and [`serve_states`](Self::serve_states) are on two callbacks.
     ///
     /// # Errors
     /// [`LifecycleError::Busy`]; [`Error::Transport`](crate::Error::Transport) if a service cannot be

@@ -53,6 +53,6 @@ impl Parameter {
 
     /// As in ROS 2, setting a parameter to "not set" undeclares it.
     pub(super) fn is_ended_by(&self, value: &ParameterValue) -> bool {
-        self.declared && *value == ParameterValue::NotSet && self.value != ParameterValue::NotSet
+        *value == ParameterValue::NotSet && self.value != ParameterValue::NotSet
     }
 }

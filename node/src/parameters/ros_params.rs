@@ -97,7 +97,6 @@ macro_rules! leaf {
                 }
                 param.value = self.get_parameter("")?;
                 param.declared = true;
-                param.descriptor.check(prefix, &param.value)?;
                 params.insert(prefix.to_owned(), param);
                 Ok(())
             }

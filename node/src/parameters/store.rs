@@ -242,7 +242,7 @@ impl Parameters {
                             deleted.push(index);
                         }
                     }
-                    None if takes_any => new.push(index),
+                    None if takes_any && *value != ParameterValue::NotSet => new.push(index),
                     // A value that was given, but not declared, counts when the parameter is declared later.
                     _ => return Err(ParameterError::NotDeclared { name: name.clone() }.into()),
                 }
@@ -378,18 +378,27 @@ impl Parameters {
         lock(&of_struct).register_parameters("", None, &mut present)?;
         let before = lock(&self.shared.map).clone();
         let mut after = before.clone();
-        lock(&of_struct).register_parameters("", None, &mut after)?;
-        let is_new = |name: &str| before.get(name).is_none_or(|parameter| !parameter.declared);
-        let fields = after.iter().filter(|(name, parameter)| parameter.declared && is_new(name));
-        let fields: Vec<_> =
-            fields.map(|(name, parameter)| (name.clone(), parameter.value.clone())).collect();
-        if let Err(refused) = self.run_checks(&fields) {
+        let mut fill = || -> Result<Vec<_>> {
+            lock(&of_struct).register_parameters("", None, &mut after)?;
+            let is_new = |name: &str| before.get(name).is_none_or(|parameter| !parameter.declared);
+            let mut fields = Vec::new();
+            for (name, Parameter { value, descriptor, declared }) in &after {
+                if *declared && is_new(name) {
+                    descriptor.check(name, value)?;
+                    fields.push((name.clone(), value.clone()));
+                }
+            }
+            self.run_checks(&fields)?;
+            Ok(fields)
+        };
+        let filled = fill();
+        if filled.is_err() {
             let mut of_struct = lock(&of_struct);
             for (name, parameter) in &present {
                 of_struct.set_parameter(name, &parameter.value)?;
             }
-            return Err(refused.into());
         }
+        let fields = filled?;
         *lock(&self.shared.map) = after;
         hooks.events.publish(&Changes { new: &fields, ..Changes::default() });
         let fields = fields.into_iter().map(|(name, _)| name).collect();

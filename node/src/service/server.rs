@@ -193,7 +193,8 @@ impl<T: ServiceCodec<Error: Into<Error>>> ServiceRequest<T> {
     /// request. [`Server::respond`] takes none.
     ///
     /// # Errors
-    /// [`Error::Service`](crate::Error::Service): the client's queue is full or cannot be reached, the response cannot be written.
+    /// [`Error::Service`](crate::Error::Service): the client's queue is full or cannot be reached, the response cannot be written. The request
+    /// then ends without a response.
     pub fn respond(self, msg: T::Response) -> Result<()> {
         self.reply.respond(&msg)
     }
@@ -239,7 +240,12 @@ impl<T: ServiceCodec<Error: Into<Error>>> Reply<T> {
         let service = self.service.lock();
         match service.server().respond(self.id, msg).map_err(Into::into) {
             Err(Error::Service(ServiceError::ClientGone { .. })) => Ok(()),
-            responded => responded,
+            Err(error) => {
+                // The request cannot be answered again: its client would wait for ever.
+                let _ = service.server().raw().refuse(self.id);
+                Err(error)
+            }
+            Ok(()) => Ok(()),
         }
     }
 }

@@ -7,7 +7,8 @@ use crate::error::{Error, Result};
 use std::future::poll_fn;
 use std::task::Poll;
 use std::time::Duration;
-use tautline_rt::clock::{monotonic_ns, wall_ns};
+use tautline_rt::clock::{monotonic_ns, nanoseconds, wall_ns};
+use tautline_sampler::Alarm;
 
 /// The type of a clock.
 #[derive(Debug, Copy, Clone, PartialEq, Eq)]
@@ -99,23 +100,26 @@ impl Clock {
         const LONGEST: Duration = Duration::from_secs(1);
         // Also woken when the clock's time source changes.
         let waiter = self.source.as_ref().map(TimeSource::waiter).transpose()?;
+        // Rings once: a timer would keep ringing until a busy thread polls.
+        let mut alarm = Alarm::new(context.events())?;
         loop {
             let left = until.saturating_sub(self.now());
             if left.is_zero() {
                 return Ok(());
             }
             let simulated = self.is_simulated();
-            let mut timer = match self.kind {
-                ClockType::SteadyTime => Some(tautline_sampler::Timer::new(context.events(), left)?),
+            let left = match self.kind {
+                ClockType::SteadyTime => Some(left),
                 _ if simulated => None,
-                _ => Some(tautline_sampler::Timer::new(context.events(), left.min(LONGEST))?),
+                _ => Some(left.min(LONGEST)),
             };
+            alarm.set(left.map(|left| monotonic_ns().saturating_add(nanoseconds(left))));
             poll_fn(|task| {
                 if let Some(waiter) = &waiter {
                     waiter.register(task);
                 }
-                let due = timer.as_mut().is_some_and(|timer| timer.poll_tick(task).is_ready());
-                if due || self.is_simulated() != simulated || self.now() >= until {
+                let is_due = alarm.poll(task).is_ready();
+                if is_due || self.is_simulated() != simulated || self.now() >= until {
                     Poll::Ready(())
                 } else {
                     Poll::Pending

@@ -272,7 +272,7 @@ impl TimeSource {
     }
 
     /// Claims a place for a task to be woken.
-    pub(super) fn waiter(&self) -> Result<ClockWaiter> {
+    pub(crate) fn waiter(&self) -> Result<ClockWaiter> {
         let claimed = &self.shared.waiting.claimed;
         let claim = |claimed: u64| (claimed != u64::MAX).then(|| claimed | (claimed + 1));
         match claimed.fetch_update(Ordering::AcqRel, Ordering::Acquire, claim) {
@@ -285,6 +285,12 @@ impl TimeSource {
 impl ClockWaiter {
     pub(super) fn source(&self) -> &TimeSource {
         &self.source
+    }
+
+    /// Reads the new messages of `/clock`, and registers the task as [`register`](Self::register) does.
+    pub(crate) fn update(&self, context: &Context<'_>) {
+        self.register(context);
+        self.source.update();
     }
 
     /// Registers the task to be woken when the time, or its source, may have changed.

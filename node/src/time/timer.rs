@@ -77,8 +77,8 @@ impl RosTimer {
         self.missed
     }
 
-    /// The next release, and the `CLOCK_MONOTONIC` time since which it could be served.
-    pub(crate) fn poll_tick(&mut self, context: &mut Context<'_>) -> Poll<(Tick, u64)> {
+    /// The next release.
+    pub(crate) fn poll_tick(&mut self, context: &mut Context<'_>) -> Poll<Tick> {
         self.waiter.register(context);
         let _ = self.end.poll_triggered(context);
         let simulated = self.waiter.source().simulated_ns();
@@ -88,9 +88,9 @@ impl RosTimer {
                 Err(error) => tracing::warn!("a timer keeps its previous clock: {error}"),
             }
         }
-        let (tick, since) = match (&mut self.on, simulated) {
+        let tick = match (&mut self.on, simulated) {
             (On::Steady(timer), _) => match timer.poll_tick(context) {
-                Poll::Ready(tick) => (tick, tick.release_ns),
+                Poll::Ready(tick) => tick,
                 Poll::Pending => return Poll::Pending,
             },
             (On::Simulated(schedule), now_ns) => {
@@ -98,12 +98,13 @@ impl RosTimer {
                 let Some((releases, due)) = schedule.released(now_ns, self.period_ns.cast_signed()) else {
                     return Poll::Pending;
                 };
-                (Tick { release_ns: due.unsigned_abs(), index: 0, missed: releases - 1 }, monotonic_ns())
+                let (release_ns, since_ns) = (due.unsigned_abs(), monotonic_ns());
+                Tick { release_ns, since_ns, index: 0, missed: releases - 1 }
             }
         };
         self.missed += tick.missed;
         self.index += tick.missed + 1;
-        Poll::Ready((Tick { index: self.index, ..tick }, since))
+        Poll::Ready(Tick { index: self.index, ..tick })
     }
 }
 
