@@ -837,7 +837,7 @@ struct Letter {
 
 impl Letter {
     /// Lives as long as the process, as type supports do.
-    unsafe fn support(name: &str, type_id: u8) -> *const rosidl_message_type_support_t {
+    unsafe fn support(name: &str, type_id: u8, field_name: &CStr) -> *const rosidl_message_type_support_t {
         unsafe extern "C" fn find(
             support: *const rosidl_message_type_support_t,
             _: *const c_char,
@@ -863,6 +863,8 @@ impl Letter {
             let mut description_of = *(*number).get_type_description_func.unwrap()(number);
             let mut field = *description_of.type_description.fields.data;
             field.type_.type_id = type_id;
+            field.name.data = field_name.to_owned().into_raw();
+            field.name.size = field_name.count_bytes();
             description_of.type_description.fields.data = Box::into_raw(Box::new(field));
             let hash_of = distro::described(&description_of).hash().to_string();
             let support = rosidl_message_type_support_t {
@@ -878,12 +880,14 @@ impl Letter {
 }
 
 #[test]
-fn characters_of_idl_files_are_sent() {
-    for (name, type_id, letter) in [("UInt8", 13, 97u16), ("UInt16", 14, 8364)] {
+fn characters_and_names_of_idl_files_are_sent() {
+    for (name, type_id, field_name, letter) in
+        [("UInt8", 13, c"data", 97u16), ("UInt16", 14, c"lambda", 8364), ("UInt16", 5, c"frameId", 7)]
+    {
         let world = World::new(77);
         // SAFETY: rmw's protocol; such a message is one or two bytes.
         unsafe {
-            let of = Letter::support(name, type_id);
+            let of = Letter::support(name, type_id, field_name);
             let (publisher, subscription) =
                 (world.publisher(of, &profile(5)), world.subscription(of, &profile(5)));
             assert!(!publisher.is_null() && !subscription.is_null(), "{}", said());

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use crate::definition::short_name;
 use crate::number::python_float;
 use crate::parse::{Numbered, lines, parse_part, shortened};
-use crate::{Definition, Fault, Place, Schema, SchemaError, TypeName, Value};
+use crate::{Definition, Fault, Place, Schema, SchemaError, TypeName, Value, names};
 
 /// Parses a type and those that follow it.
 pub(crate) fn parse(name: &TypeName, text: &str) -> Result<BTreeMap<TypeName, Arc<Definition>>, SchemaError> {
@@ -21,11 +21,11 @@ pub(crate) fn parse(name: &TypeName, text: &str) -> Result<BTreeMap<TypeName, Ar
     if first.iter().any(|(_, line)| !line.trim().is_empty())
         || !is_separator(text.lines().next().unwrap_or(""))
     {
-        definitions.insert(name.clone(), Arc::new(parse_part(name, &file, first)?));
+        definitions.insert(name.clone(), Arc::new(parse_part(name, &file, first, names::check_member)?));
     }
     for section in sections {
         let (name, body) = header(section, &file)?;
-        let definition = parse_part(&name, &file, body)?;
+        let definition = parse_part(&name, &file, body, names::check_member)?;
         if let Some(known) = definitions.get(&name) {
             if text_of(known) != text_of(&definition) {
                 return Err(SchemaError::Conflict { name: name.to_string() });

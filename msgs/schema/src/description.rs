@@ -218,7 +218,7 @@ impl IndividualTypeDescription {
         let mut seen = std::collections::HashSet::new();
         let mut fields = Vec::new();
         for field in &self.fields {
-            names::check_field(&field.name).map_err(|fault| error(fault.to_string()))?;
+            names::check_member(&field.name).map_err(|fault| error(fault.to_string()))?;
             if !seen.insert(&field.name) {
                 return Err(error(format!("field `{}` is defined twice", field.name)));
             }

@@ -135,8 +135,8 @@ pub enum Fault {
         /// The name.
         name: String,
     },
-    /// A keyword of C++ or Python.
-    #[error("`{name}` is a keyword of C++ or Python: rename the field")]
+    /// A keyword of C++.
+    #[error("`{name}` is a keyword of C++: rename the field")]
     Keyword {
         /// The name.
         name: String,

@@ -122,7 +122,7 @@ fn is_type_name(name: &str) -> bool {
         && !name.ends_with('_')
 }
 
-/// Whether a field may have this name.
+/// Whether a field of a `.msg`, `.srv` or `.action` file may have this name.
 pub(crate) fn check_field(name: &str) -> Result<(), Fault> {
     if !is_package_name(name) {
         return Err(Fault::FieldName { name: name.to_owned() });
@@ -131,6 +131,13 @@ pub(crate) fn check_field(name: &str) -> Result<(), Fault> {
         return Err(Fault::Keyword { name: name.to_owned() });
     }
     Ok(())
+}
+
+/// Whether a member of an `.idl` file may have this name. Type descriptions, and texts written from them, have such names.
+pub(crate) fn check_member(name: &str) -> Result<(), Fault> {
+    let valid = name.starts_with(|first: char| first.is_ascii_alphabetic())
+        && name.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_');
+    if valid { Ok(()) } else { Err(Fault::FieldName { name: name.to_owned() }) }
 }
 
 /// Whether a constant may have this name: upper case, digits and single underscores.
@@ -142,15 +149,14 @@ pub(crate) fn check_constant(name: &str) -> Result<(), Fault> {
     if valid { Ok(()) } else { Err(Fault::ConstantName { name: name.to_owned() }) }
 }
 
-/// Keywords of C++ and Python, whose generators a field of this name would break. Not Rust's: `type` is a common
-/// field, and a generator can write `type_`.
+/// Keywords of C++17, whose generator a field of this name would break. Not Python's, for which `rosidl_generator_py` only
+/// warns, nor Rust's: `type` is a common field, and a generator can write `type_`.
 const KEYWORDS: &str = "\
-    alignas alignof and as asm assert async auto await bool break case catch char class const consteval \
-    constexpr constinit continue decltype def default del delete do double elif else enum except explicit \
-    export extern false finally float for friend from global goto if import in inline int is lambda long \
-    mutable namespace new noexcept nonlocal not nullptr operator or pass private protected public raise \
-    register requires return short signed sizeof static struct switch template this throw true try typedef \
-    typeid typename union unsigned using virtual void volatile while with xor yield";
+    alignas alignof and asm auto bool break case catch char class const constexpr continue decltype default \
+    delete do double else enum explicit export extern false float for friend goto if inline int long mutable \
+    namespace new noexcept not nullptr operator or private protected public register return short signed \
+    sizeof static struct switch template this throw true try typedef typeid typename union unsigned using \
+    virtual void volatile while xor";
 
 #[cfg(test)]
 mod tests {
@@ -183,7 +189,15 @@ mod tests {
             assert!(matches!(check_field(name), Err(Fault::FieldName { .. })), "{name}");
         }
         assert!(matches!(check_field("class"), Err(Fault::Keyword { .. })));
-        assert!(check_field("type").is_ok());
+        for name in ["type", "lambda", "from", "requires"] {
+            assert!(check_field(name).is_ok(), "{name}");
+        }
+        for name in ["frameId", "a__b", "end_", "class"] {
+            assert!(check_member(name).is_ok(), "{name}");
+        }
+        for name in ["_start", "1st", "a-b", "é", ""] {
+            assert!(check_member(name).is_err(), "{name}");
+        }
         for name in ["lower", "A__B", "A_", "1A", ""] {
             assert!(check_constant(name).is_err(), "{name}");
         }

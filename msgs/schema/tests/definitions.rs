@@ -2,8 +2,8 @@
 //! What a definition may say, and what is said about one that is wrong.
 
 use tautline_schema::{
-    Base, Constant, Fault, Field, Kind, Packages, Primitive, Schema, SchemaError, Shape, TypeName, Value,
-    parse_action, parse_message, parse_service,
+    Base, Constant, Fault, Field, Kind, Packages, Primitive, Schema, SchemaError, Shape, TypeDescription,
+    TypeName, Value, parse_action, parse_message, parse_service,
 };
 
 fn name(text: &str) -> TypeName {
@@ -18,6 +18,15 @@ fn schema(text: &str) -> Result<Schema, SchemaError> {
 #[track_caller]
 fn fault(text: &str) -> (u32, u32, Fault) {
     match schema(text) {
+        Err(SchemaError::Definition { place, fault }) => (place.line, place.column, fault),
+        other => panic!("{other:?}"),
+    }
+}
+
+/// The same for the text of a file.
+#[track_caller]
+fn fault_in_file(text: &str) -> (u32, u32, Fault) {
+    match parse_message(&name("demo_msgs/msg/Demo"), "Demo.msg", text) {
         Err(SchemaError::Definition { place, fault }) => (place.line, place.column, fault),
         other => panic!("{other:?}"),
     }
@@ -91,9 +100,10 @@ fn faults_have_a_place() {
     let named = |what: &str| what.to_owned();
     assert_eq!(fault("int32 a\nint32 b\nint16 a"), (3, 7, Fault::Duplicate { name: named("a") }));
     assert_eq!(fault("int8 A=1\nint8 A=2"), (2, 6, Fault::Duplicate { name: named("A") }));
-    assert_eq!(fault("int32 Bad"), (1, 7, Fault::FieldName { name: named("Bad") }));
-    assert_eq!(fault("int32 a__b"), (1, 7, Fault::FieldName { name: named("a__b") }));
-    assert_eq!(fault("int32 class"), (1, 7, Fault::Keyword { name: named("class") }));
+    assert_eq!(fault_in_file("int32 Bad"), (1, 7, Fault::FieldName { name: named("Bad") }));
+    assert_eq!(fault_in_file("int32 a__b"), (1, 7, Fault::FieldName { name: named("a__b") }));
+    assert_eq!(fault_in_file("int32 class"), (1, 7, Fault::Keyword { name: named("class") }));
+    assert_eq!(fault("int32 1st"), (1, 7, Fault::FieldName { name: named("1st") }));
     assert_eq!(fault("int32 bad=1"), (1, 7, Fault::ConstantName { name: named("bad") }));
     assert_eq!(fault("int32"), (1, 1, Fault::Line { line: named("int32") }));
     assert_eq!(fault("  int8 =5"), (1, 3, Fault::Line { line: named("int8 =5") }));
@@ -166,6 +176,28 @@ fn the_hash_ignores_names_of_constants_comments_and_defaults() {
     assert_ne!(plain.hash(), schema("int32 x\nuint8[3] y\n").unwrap().hash());
     let again = Schema::from_text(decorated.name(), &decorated.to_text()).unwrap();
     assert_eq!(again.to_text(), "int8 A=1\nint32 x 5\nuint8[2] y [1, 2]\n");
+}
+
+/// C and C++ nodes can use these names; `rosidl_generator_py` warns of them.
+#[test]
+fn keywords_of_python_and_of_later_cpp_name_fields() {
+    let text = "float64 lambda\nint8 from\nint8 in\nint8 is\nint8 pass\nint8 global\nbool requires\n";
+    let definition = parse_message(&name("demo_msgs/Gains"), "Gains.msg", text).unwrap();
+    assert_eq!(definition.fields[0].name, "lambda");
+    assert_eq!(schema(text).unwrap().to_text(), text);
+}
+
+/// `rosidl_parser` checks no names of members. A stored definition of such a type is read again.
+#[test]
+fn members_of_idl_files_have_any_identifier() {
+    let mut description = TypeDescription::from(&schema("string frame\nuint8[] data\n").unwrap());
+    description.type_description.fields[0].name = "frameId".to_owned();
+    description.type_description.fields[1].name = "data__".to_owned();
+    let described = Schema::from_description(&description).unwrap();
+    assert_eq!(described.to_text(), "string frameId\nuint8[] data__\n");
+    assert_eq!(schema(&described.to_text()).unwrap().hash(), described.hash());
+    description.type_description.fields[0].name = "frame id".to_owned();
+    assert!(matches!(Schema::from_description(&description), Err(SchemaError::Description { .. })));
 }
 
 /// The field that stands for none is a `uint8`; of another type it is a field.

@@ -3,6 +3,7 @@
 //!
 //! Accepts what ROS 2's `rosidl_adapter` accepts and reads it the same way, also where that is surprising: `#` starts a
 //! comment even inside a string, and the comment lines at the very start belong to the message, not to its first field.
+//! Fields whose names are keywords of C++ are refused: ROS 2 cannot build their packages.
 
 mod docs;
 mod line;
@@ -26,7 +27,7 @@ pub(crate) use literal::parse_python_default;
 /// # Errors
 /// [`SchemaError::Definition`] with the place of the first fault.
 pub fn parse_message(name: &TypeName, file: &str, text: &str) -> Result<Definition, SchemaError> {
-    parse_part(name, &file.into(), &lines(text))
+    parse_part(name, &file.into(), &lines(text), names::check_field)
 }
 
 /// Parses a `.srv` file's text: the service, its request, response and event, in this order.
@@ -37,8 +38,8 @@ pub fn parse_service(name: &TypeName, file: &str, text: &str) -> Result<Vec<Defi
     let file = Arc::from(file);
     let lines = lines(text);
     let [request, response] = split(&lines, &file, "service")?;
-    let request = parse_part(&derived::part(name, "_Request"), &file, request)?;
-    let response = parse_part(&derived::part(name, "_Response"), &file, response)?;
+    let request = parse_part(&derived::part(name, "_Request"), &file, request, names::check_field)?;
+    let response = parse_part(&derived::part(name, "_Response"), &file, response, names::check_field)?;
     Ok(derived::service(name, request, response))
 }
 
@@ -51,9 +52,9 @@ pub fn parse_action(name: &TypeName, file: &str, text: &str) -> Result<Vec<Defin
     let file = Arc::from(file);
     let lines = lines(text);
     let [goal, result, feedback] = split(&lines, &file, "action")?;
-    let goal = parse_part(&derived::part(name, "_Goal"), &file, goal)?;
-    let result = parse_part(&derived::part(name, "_Result"), &file, result)?;
-    let feedback = parse_part(&derived::part(name, "_Feedback"), &file, feedback)?;
+    let goal = parse_part(&derived::part(name, "_Goal"), &file, goal, names::check_field)?;
+    let result = parse_part(&derived::part(name, "_Result"), &file, result, names::check_field)?;
+    let feedback = parse_part(&derived::part(name, "_Feedback"), &file, feedback, names::check_field)?;
     Ok(derived::action(name, goal, result, feedback))
 }
 
@@ -84,11 +85,15 @@ fn split<'a, const N: usize>(
     })
 }
 
+/// Whether a field may have this name. Files have stricter rules than texts that were written from type descriptions.
+pub(crate) type CheckField = fn(&str) -> Result<(), Fault>;
+
 /// Parses the lines of one message.
 pub(crate) fn parse_part(
     name: &TypeName,
     file: &Arc<str>,
     lines: &[Numbered<'_>],
+    check_field: CheckField,
 ) -> Result<Definition, SchemaError> {
     let mut definition = Definition {
         name: name.clone(),
@@ -115,7 +120,7 @@ pub(crate) fn parse_part(
         if member.is_empty() {
             return error(&type_start, Fault::Line { line: shortened(type_start.rest()) });
         }
-        // Fields and constants cannot have the same name: the one is in lower, the other in upper case.
+        // A field and a constant cannot have the same name either.
         if !names.insert(member) {
             return error(&name_start, Fault::Duplicate { name: member.to_owned() });
         }
@@ -129,7 +134,7 @@ pub(crate) fn parse_part(
             docs.constant(definition.constants.len() - 1);
         } else {
             let place = Place { file: file.clone(), line: number, column: type_start.column() };
-            match parse_field(type_text, member, line.rest(), name.package(), place) {
+            match parse_field(type_text, (member, check_field), line.rest(), name.package(), place) {
                 Ok(field) => definition.fields.push(field),
                 Err((At::Type, fault)) => return error(&type_start, fault),
                 Err((At::Name, fault)) => return error(&name_start, fault),
@@ -176,13 +181,13 @@ fn parse_constant(ty: &str, name: &str, value: &str, package: &str) -> Result<Co
 
 fn parse_field(
     ty: &str,
-    name: &str,
+    (name, check_field): (&str, CheckField),
     default: &str,
     package: &str,
     place: Place,
 ) -> Result<Field, (At, Fault)> {
     let ty = parse_type(ty, package).map_err(|fault| (At::Type, fault))?;
-    names::check_field(name).map_err(|fault| (At::Name, fault))?;
+    check_field(name).map_err(|fault| (At::Name, fault))?;
     let (default, default_text) = match default {
         "" => (None, String::new()),
         text => {
