@@ -228,15 +228,14 @@ impl IndividualTypeDescription {
                     field.name, field.ty.type_id
                 ))
             })?;
-            let default = match field.default_value.as_str() {
-                "" => None,
-                text => Some(parse_python_default(&ty, text).map_err(|fault| error(fault.to_string()))?),
-            };
+            // No part of the hash: a description is used without a default that does not fit its type.
+            let text = Some(&field.default_value).filter(|text| !text.is_empty());
+            let default = text.and_then(|text| parse_python_default(&ty, text).ok());
             fields.push(Field {
                 name: field.name.clone(),
                 ty,
+                default_text: default.as_ref().map_or(String::new(), |_| field.default_value.clone()),
                 default,
-                default_text: field.default_value.clone(),
                 docs: String::new(),
                 place: Place { file: file.clone(), line: 0, column: 0 },
             });

@@ -200,6 +200,22 @@ fn members_of_idl_files_have_any_identifier() {
     assert!(matches!(Schema::from_description(&description), Err(SchemaError::Description { .. })));
 }
 
+/// ROS 2 itself writes such descriptions: `rosidl_adapter` makes the default "°C" longer after it has checked its length.
+#[test]
+fn defaults_of_descriptions_that_do_not_fit_are_left_out() {
+    let mut description =
+        TypeDescription::from(&schema("string<=2 unit\nint8 count\nint8[2] two\nstring<=2 good\n").unwrap());
+    let fields = &mut description.type_description.fields;
+    for (field, default) in fields.iter_mut().zip(["Â°C", "200", "(1,)", "°C"]) {
+        field.default_value = default.to_owned();
+    }
+    let described = Schema::from_description(&description).unwrap();
+    let text = "string<=2 unit\nint8 count\nint8[2] two\nstring<=2 good \"°C\"\n";
+    assert_eq!((described.to_text().as_str(), described.hash()), (text, description.hash()));
+    assert_eq!(schema(text).unwrap().hash(), described.hash());
+    assert_eq!(described.definition().fields[0].default_text, "");
+}
+
 /// The field that stands for none is a `uint8`; of another type it is a field.
 #[test]
 fn an_empty_message_has_one_byte() {

@@ -139,13 +139,17 @@ fn bundles() {
     assert!(accepted > COUNT / 100);
 }
 
+/// What is accepted must be written as text that gives the same type.
 #[test]
 fn descriptions() {
     let inputs = [HashedTypeDescription::from(&*schema()).to_json().into_bytes()];
     mutate(&inputs, &[b"1", b"0", b"145", b"\"", b"4294967296", b"demo_msgs/msg/Demo"], |input| {
         if let Ok(read) = serde_json::from_slice::<HashedTypeDescription>(input) {
             let _ = read.type_description_msg.hash();
-            let _ = Schema::from_description(&read.type_description_msg);
+            if let Ok(schema) = Schema::from_description(&read.type_description_msg) {
+                let again = Schema::from_text(schema.name(), &schema.to_text()).unwrap();
+                assert_eq!((again.hash(), again.to_text()), (schema.hash(), schema.to_text()));
+            }
         }
     });
 }

@@ -47,7 +47,8 @@ type Result<T> = std::result::Result<T, DefinitionError>;
 /// otherwise that of the packages in `AMENT_PREFIX_PATH`; otherwise the bundled one.
 ///
 /// Of the latter two, the definition with the topic's hash is used. If none has this hash, the first one is used: an
-/// endpoint created with it then matches no other endpoint, and a warning names both hashes.
+/// endpoint created with it then matches no other endpoint, and a warning names both hashes. But if there is a stored definition and it
+/// cannot be used, that is the error.
 ///
 /// # Errors
 /// [`DefinitionError::Unknown`] if there is none; [`Stored`](DefinitionError::Stored) or [`Schema`](DefinitionError::Schema) if it cannot
@@ -66,17 +67,18 @@ fn find(
     // If the topic has another type, its hash is not the one to look for.
     let existing = existing.filter(|existing| existing.name == name.as_str());
     let hash = existing.and_then(|existing| existing.hash.as_deref());
-    // If the store cannot be read, the other places are searched nevertheless.
-    let mut unread = None;
+    // If the store cannot be read, or its definition not be used, the other places are searched nevertheless.
+    let (mut unread, mut unusable) = (None, None);
     if let Some(hash) = hash {
         match store.read(hash) {
-            Ok(Some(claimed)) => return Ok(checked(claimed, name, hash)?.into()),
+            Ok(Some(claimed)) => match checked(claimed, name, hash) {
+                Ok(schema) => return Ok(schema.into()),
+                Err(error) => unusable = Some(error),
+            },
             Ok(None) => {}
             Err(error) if error.kind() == io::ErrorKind::InvalidData => {
-                return Err(DefinitionError::Stored {
-                    path: store.path().join(hash),
-                    reason: error.to_string(),
-                });
+                let (path, reason) = (store.path().join(hash), error.to_string());
+                unusable = Some(DefinitionError::Stored { path, reason });
             }
             Err(error) => unread = Some(error),
         }
@@ -88,15 +90,18 @@ fn find(
     }))?;
     let agrees = |schema: &Schema| hash.is_none_or(|hash| schema.hash().to_string() == hash);
     if let Some(first) = first {
-        if !agrees(&first) {
-            let second = known(Schema::resolve(name, &mut |name| bundled.definition(name)))?;
-            if let Some(second) = second.filter(agrees) {
-                return Ok(second.into());
-            }
+        if agrees(&first) {
+            return Ok(first.into());
         }
-        return Ok(first.into());
+        let second = known(Schema::resolve(name, &mut |name| bundled.definition(name)))?;
+        if let Some(second) = second.filter(agrees) {
+            return Ok(second.into());
+        }
+        if unusable.is_none() {
+            return Ok(first.into());
+        }
     }
-    Err(DefinitionError::Unknown {
+    Err(unusable.unwrap_or_else(|| DefinitionError::Unknown {
         topic: topic.to_owned(),
         type_name: name.to_string(),
         stored: match (existing, hash) {
@@ -110,7 +115,7 @@ fn find(
                 }
             }
         },
-    })
+    }))
 }
 
 /// Parses a stored definition and checks its hash: it is untrusted, because anybody who can write the folder may have written it.
@@ -222,7 +227,7 @@ mod tests {
 
     #[test]
     fn a_file_that_lies_is_named() {
-        let fixture = Fixture::new();
+        let mut fixture = Fixture::new();
         let hash = hash_of(NAME, TEXT);
         fixture.store.keep(&hash, TEXT).unwrap();
         let file = fixture.store.path().join(&hash);
@@ -246,6 +251,12 @@ mod tests {
         fs::write(&file, TEXT).unwrap();
         assert!(fixture.find("demo_msgs/msg/B", Some(&hash)).is_err());
         assert!(fixture.find(NAME, Some(&hash)).is_ok());
+        // The other places may have the topic's type.
+        fs::write(&file, "uint16 x\n").unwrap();
+        fixture.install("demo_msgs", "A", TEXT);
+        assert_eq!(fixture.find(NAME, Some(&hash)).unwrap().hash().to_string(), hash);
+        fixture.install("demo_msgs", "A", "uint32 x\n");
+        assert!(matches!(fixture.find(NAME, Some(&hash)), Err(DefinitionError::Stored { .. })));
     }
 
     #[test]

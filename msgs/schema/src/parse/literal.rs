@@ -17,11 +17,11 @@ pub fn default(ty: &FieldType, text: &str) -> Result<(Value, String), Fault> {
     }
 }
 
-/// A default as type descriptions write it.
+/// A default as type descriptions write it. What is accepted is a value that definitions can have, too.
 pub(crate) fn parse_python_default(ty: &FieldType, text: &str) -> Result<Value, Fault> {
     match (&ty.base, ty.shape) {
         (Base::Nested(_), _) => Err(Fault::NoDefault { text: ty.to_string() }),
-        (Base::String { .. } | Base::WString { .. }, Shape::Single) => Ok(Value::String(text.to_owned())),
+        (Base::String { bound } | Base::WString { bound }, Shape::Single) => bounded(text.to_owned(), *bound),
         (_, Shape::Single) => Ok(scalar(&ty.base, text)?.0),
         _ => Ok(list(ty, text, '(', ')')?.0),
     }
@@ -33,15 +33,19 @@ pub fn scalar(base: &Base, text: &str) -> Result<(Value, String), Fault> {
         Base::Primitive(primitive) => number(*primitive, text),
         Base::String { bound } | Base::WString { bound } => {
             let value = string(text)?;
-            if let Some(bound) = *bound
-                && value.chars().count() > bound as usize
-            {
-                let expected = format!("string of at most {bound} characters");
-                return Err(Fault::Value { value: shortened(text), expected });
-            }
-            Ok((Value::String(value.clone()), value))
+            Ok((bounded(value.clone(), *bound)?, value))
         }
         Base::Nested(_) => Err(Fault::NoDefault { text: base.to_string() }),
+    }
+}
+
+fn bounded(text: String, bound: Option<u32>) -> Result<Value, Fault> {
+    match bound {
+        Some(bound) if text.chars().count() > bound as usize => {
+            let expected = format!("string of at most {bound} characters");
+            Err(Fault::Value { value: shortened(&text), expected })
+        }
+        _ => Ok(Value::String(text)),
     }
 }
 
