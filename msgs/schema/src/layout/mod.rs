@@ -124,6 +124,17 @@ mod tests {
         assert_eq!(image.size.to_string(), "up4(end(encoding) + 1) + |data| + 8");
     }
 
+    /// The time is in proportion to the values, of which a short definition may have many.
+    #[test]
+    fn formulas_of_many_values_are_cut_off() {
+        let levels = (1..=16).map(|level| format!("A{level} a\nA{level} b\n===\nMSG: p/A{level}\n"));
+        let many = layout(&(levels.collect::<String>() + "string s\nfloat64 f\n"));
+        for size in many.fields.iter().flat_map(|field| [&field.offset, &field.size]).chain([&many.size]) {
+            assert!(size.to_string().len() < 500, "{size}");
+        }
+        assert!(many.size.to_string().contains(" + ..."), "{}", many.size);
+    }
+
     #[test]
     fn padding_within_a_field_depends_on_where_it_starts() {
         let lists = layout(

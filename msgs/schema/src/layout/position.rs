@@ -78,7 +78,13 @@ impl Position {
             self.formula = term.to_owned();
         } else if self.formula.len() < MAX_FORMULA {
             self.formula = format!("{} + {term}", self.formula);
-        } else if !self.formula.ends_with("...") {
+        } else {
+            self.cut_off();
+        }
+    }
+
+    fn cut_off(&mut self) {
+        if !self.formula.ends_with("...") {
             self.formula.push_str(" + ...");
         }
     }
@@ -89,6 +95,9 @@ impl Position {
         }
         if self.relative {
             self.term(&format!("pad{align}"));
+        } else if self.formula.len() >= MAX_FORMULA {
+            self.cut_off();
+            self.plus = 0;
         } else {
             (self.formula, self.plus) = (format!("up{align}({})", self.text()), 0);
         }
