@@ -69,10 +69,8 @@ pub fn write(
     let view =
         if memory.is_plain() { "plain".to_owned() } else { taken.avoid(&definition.name, name, "Ref") };
     text.line(&format!("{view} {name} \"{}\" {{", definition.name));
-    let own_text = schema.to_text();
-    let own_text = own_text.split_once(&"=".repeat(80)).map_or(&own_text[..], |(own, _)| own);
     text.line(&format!("\"{}\",", schema.hash()));
-    text.line(&format!("{own_text:?},"));
+    text.line(&format!("{:?},", definition.to_text()));
     let nested: BTreeSet<_> = fields
         .iter()
         .filter_map(|field| match &field.ty.base {

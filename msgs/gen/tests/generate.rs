@@ -53,6 +53,18 @@ fn a_message_becomes_a_struct() {
     }
 }
 
+/// The lines between the definitions of a bag's text are made of 80 `=`, too.
+#[test]
+fn a_definition_is_whole() {
+    let line = "=".repeat(80);
+    let text = format!("string LINE=\"{line}\"\nuint8 count 1\nInner inner\n");
+    let (folder, mut packages) = demo(&text);
+    std::fs::write(folder.path().join("demo_msgs/msg/Inner.msg"), "uint8 x\n").unwrap();
+    let code = generate(&mut packages, &["demo_msgs"], &Options::default()).unwrap();
+    let definition = format!("{:?},", text.replace("Inner inner", "demo_msgs/Inner inner"));
+    assert!(code.lines().any(|found| found.trim() == definition), "{definition}\n{code}");
+}
+
 #[test]
 fn fields_say_what_they_are_measured_in() {
     let code =
@@ -152,7 +164,8 @@ fn comments_become_text() {
 fn every_name_of_ros_can_be_generated() {
     let folder = tempfile::tempdir().unwrap();
     let fields = "uint8 gen\nuint8 self\nstring type\nstring crate\nuint8 to_owned\nstring[] default_rest\nuint8 write\n\
-                  float64[] loan\nuint8 clone\nuint8 view\nuint8 check\nuint8 sizes\nuint8 reader\nuint8 value\n";
+                  float64[] loan\nuint8 clone\nuint8 view\nuint8 check\nuint8 sizes\nuint8 reader\nuint8 value\n\
+                  float64 lambda\nuint8 in\nuint8 from\nstring async\n";
     for (file, text) in [
         ("name_msgs/msg/Option.msg", fields),
         ("name_msgs/msg/Vec.msg", "Option[] some\nOption none\nuint8 ok 3\n"),

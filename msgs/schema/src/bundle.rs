@@ -27,7 +27,7 @@ pub(crate) fn parse(name: &TypeName, text: &str) -> Result<BTreeMap<TypeName, Ar
         let (name, body) = header(section, &file)?;
         let definition = parse_part(&name, &file, body, names::check_member)?;
         if let Some(known) = definitions.get(&name) {
-            if text_of(known) != text_of(&definition) {
+            if known.to_text() != definition.to_text() {
                 return Err(SchemaError::Conflict { name: name.to_string() });
             }
             continue;
@@ -39,35 +39,37 @@ pub(crate) fn parse(name: &TypeName, text: &str) -> Result<BTreeMap<TypeName, Ar
 
 /// Writes a type and those it consists of.
 pub(crate) fn write(schema: &Schema) -> String {
-    let mut text = text_of(schema.definition());
+    let mut text = schema.definition().to_text();
     for definition in schema.referenced() {
         text.push_str(&"=".repeat(80));
         text.push_str("\nMSG: ");
         text.push_str(&short_name(&definition.name));
         text.push('\n');
-        text.push_str(&text_of(definition));
+        text.push_str(&definition.to_text());
     }
     text
 }
 
-/// A definition without its comments.
-pub(crate) fn text_of(definition: &Definition) -> String {
-    let mut text = String::new();
-    // Writing to a `String` cannot fail.
-    for constant in &definition.constants {
-        let _ = writeln!(text, "{} {}={}", constant.ty, constant.name, constant.value);
-    }
-    if definition.is_empty() {
-        return text;
-    }
-    for field in &definition.fields {
-        let _ = write!(text, "{} {}", field.ty, field.name);
-        if let Some(default) = &field.default {
-            let _ = write!(text, " {default}");
+impl Definition {
+    /// The definition alone as text: as [`Schema::to_text`] without the types it consists of.
+    pub fn to_text(&self) -> String {
+        let mut text = String::new();
+        // Writing to a `String` cannot fail.
+        for constant in &self.constants {
+            let _ = writeln!(text, "{} {}={}", constant.ty, constant.name, constant.value);
         }
-        text.push('\n');
+        if self.is_empty() {
+            return text;
+        }
+        for field in &self.fields {
+            let _ = write!(text, "{} {}", field.ty, field.name);
+            if let Some(default) = &field.default {
+                let _ = write!(text, " {default}");
+            }
+            text.push('\n');
+        }
+        text
     }
-    text
 }
 
 fn is_separator(line: &str) -> bool {
