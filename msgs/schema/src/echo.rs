@@ -234,7 +234,7 @@ fn is_plain(text: &str) -> bool {
     let number = "0123456789+-.".contains(first)
         && text
             .chars()
-            .all(|character| character.is_ascii_hexdigit() || "xXoO_:.+-infaTZ ".contains(character));
+            .all(|character| character.is_ascii_hexdigit() || "xXoO_:.+-iInNfatTZ ".contains(character));
     !marker
         && !number
         && !text.starts_with(' ')

@@ -212,10 +212,10 @@ fn text_is_checked_against_the_type() {
 
 #[test]
 fn values_are_converted_as_ros2_topic_pub_does() {
-    let schema = schema("bool b\nint8 i\nuint64 big\nbool[] bools\nfloat32 f\n");
+    let schema = schema("bool b\nint8 i\nuint64 big\nbool[] bools\nfloat32 f\nint64 long\n");
     let text = "{b: 1, i: -3.0, big: 1.0e+3, bools: [0, 1, true, 1.0], f: 2}";
     let message = DynamicMessage::from_yaml(&schema, text).unwrap();
-    let json = r#"{"b":true,"i":-3,"big":1000,"bools":[false,true,true,true],"f":2.0}"#;
+    let json = r#"{"b":true,"i":-3,"big":1000,"bools":[false,true,true,true],"f":2.0,"long":0}"#;
     assert_eq!(message.to_json(), json);
     for (text, place) in [
         ("{b: 2}", "`b`"),
@@ -227,9 +227,24 @@ fn values_are_converted_as_ros2_topic_pub_does() {
         ("{big: -1.0}", "`big`"),
         ("{big: .inf}", "`big`"),
         ("{bools: [1, 2]}", "`bools[1]`"),
+        // As `f64` these are other integers, which would fit.
+        ("{long: -9223372036854775809}", "`long`"),
+        ("{big: 9007199254740993.5}", "`big`"),
     ] {
         let error = DynamicMessage::from_yaml(&schema, text).unwrap_err().to_string();
         assert!(error.contains(place), "{text}: {error}");
+    }
+    for json in [r#"{"long": -9223372036854775809}"#, r#"{"long": 9007199254740993.5}"#] {
+        let error = DynamicMessage::from_json(&schema, json).unwrap_err().to_string();
+        assert!(error.contains("`long`"), "{json}: {error}");
+    }
+    let largest = DynamicMessage::from_json(&schema, r#"{"long": 9007199254740992.0}"#).unwrap();
+    assert_eq!(largest.get("long").unwrap().as_integer(), Some(1 << 53));
+    for (number, value) in
+        [("010", 8), ("-010", -8), ("+017", 15), ("0", 0), ("-0", 0), ("08", 8), ("0x10", 16)]
+    {
+        let message = DynamicMessage::from_yaml(&schema, &format!("{{i: {number}}}")).unwrap();
+        assert_eq!(message.get("i").unwrap().as_integer(), Some(value), "{number}");
     }
 }
 
@@ -257,6 +272,16 @@ fn stamps_are_found_where_yaml_says_auto_or_now() {
     }
     let error = DynamicMessage::from_yaml(&schema, "{header: auto}").unwrap_err().to_string();
     assert!(error.contains("`header`"), "{error}");
+}
+
+/// YAML 1.1 would read them as numbers or times.
+#[test]
+fn texts_that_look_like_other_values_are_quoted() {
+    let mut message = DynamicMessage::new(&schema("string s\n"));
+    for text in [".nan", ".NaN", ".NAN", ".inf", ".Inf", "-.INF", "2001-12-14t21:59:43", "1_000", "010"] {
+        message.set("s", text).unwrap();
+        assert_eq!(message.to_string(), format!("s: '{text}'\n"));
+    }
 }
 
 #[test]

@@ -17,7 +17,7 @@ use read::Stamps;
 
 impl DynamicMessage {
     /// Reads JSON: an object of the fields; omitted fields have their defaults. NaN and infinities are the strings `"NaN"`, `"Infinity"` and
-    /// `"-Infinity"`. A `bool` may be 0 or 1, and an integer may be a float without a fraction, such as `1.0`.
+    /// `"-Infinity"`. A `bool` may be 0 or 1, and an integer of at most 2^53 may be a float without a fraction, such as `1.0`.
     ///
     /// # Errors
     /// [`MessageError::Text`] with field and place if it is not valid or does not fit the type.
@@ -101,6 +101,8 @@ impl DynamicMessage {
 fn yaml_options(text: &str) -> serde_saphyr::Options {
     let most = text.len() + 16;
     serde_saphyr::options! {
+        // As in YAML 1.1, which ROS 2 reads: `010` is 8.
+        legacy_octal_numbers: true,
         non_finite_float_policy: serde_saphyr::NonFiniteFloatPolicy::PassThrough,
         with_snippet: false,
         budget: serde_saphyr::budget! {

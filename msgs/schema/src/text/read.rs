@@ -174,6 +174,9 @@ impl<'de> Visitor<'de> for Any<'_> {
     }
 }
 
+/// Up to this, `f64` has every integer.
+const MAX_EXACT: f64 = (1u64 << 53) as f64;
+
 /// Reads a number, `bool` or text.
 struct Scalar<'a> {
     base: &'a Base,
@@ -232,8 +235,8 @@ impl<'de> Visitor<'de> for Scalar<'_> {
         };
         match float {
             Some(float) => Ok(float),
-            // Converted without loss; `as` would saturate for larger numbers.
-            None if value.fract() == 0.0 && value.abs() < 1e38 => {
+            // A larger one may be a rounded number.
+            None if value.fract() == 0.0 && value.abs() <= MAX_EXACT => {
                 self.integer(value as i128, Unexpected::Float(value))
             }
             None => Err(E::invalid_value(Unexpected::Float(value), &self)),
