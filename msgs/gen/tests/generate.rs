@@ -123,7 +123,7 @@ fn comments_become_text() {
     let text = "uint8 first # the first joint\n# Joint torques, computed as\n#\n#     tau = J.transpose() * wrench\n#\n# ```\n\
                 # for j in range(n): print(tau[j])\n# ```\nfloat64[] tau # [Nm] of each\nuint8 a # see https://example.org/a_b\n\
                 uint8 b # a std::vector<int>\nuint8 c # ~~~\nuint8 d # ```` of four\nuint8 e # two\n         # lines\n\
-                uint8 f # a\rb\u{202e}c\n";
+                uint8 f # a\u{7}b\u{202e}c\n";
     let (_folder, mut packages) = demo(text);
     let code = generate(&mut packages, &["demo_msgs"], &Options::default()).unwrap();
     let docs = |field: &str| {

@@ -19,7 +19,7 @@ pub(crate) fn parse(name: &TypeName, text: &str) -> Result<BTreeMap<TypeName, Ar
     let first = sections.next().unwrap_or_default();
     // Some writers start with a separator and name the first type as well.
     if first.iter().any(|(_, line)| !line.trim().is_empty())
-        || !is_separator(text.lines().next().unwrap_or(""))
+        || !lines.first().is_some_and(|(_, line)| is_separator(line))
     {
         definitions.insert(name.clone(), Arc::new(parse_part(name, &file, first, names::check_member)?));
     }

@@ -125,6 +125,19 @@ fn faults_have_a_place() {
 }
 
 #[test]
+fn lines_end_as_python_reads_them() {
+    let text = "# Docs\nint32 x 5 # beside\n\nP y\n===\nMSG: demo_msgs/P\nuint8 z\n";
+    let expected = schema(text).unwrap();
+    for end in ["\r\n", "\r"] {
+        let read = schema(&text.replace('\n', end)).unwrap();
+        assert_eq!((read.to_text(), read.hash()), (expected.to_text(), expected.hash()), "{end:?}");
+    }
+    assert_eq!(fault("int8 a\r\rint8 a\r"), (3, 6, Fault::Duplicate { name: "a".to_owned() }));
+    let service = parse_service(&name("demo_msgs/srv/Demo"), "Demo.srv", "int8 a\r---\rint8 b\r").unwrap();
+    assert_eq!(service[2].fields[0].name, "b");
+}
+
+#[test]
 fn services_and_actions_need_their_separators() {
     let separators = |error: SchemaError| match error {
         SchemaError::Definition { fault: Fault::Separators { needed, found, .. }, .. } => (needed, found),

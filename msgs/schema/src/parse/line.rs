@@ -4,9 +4,10 @@
 /// A line after its number, from 1.
 pub(crate) type Numbered<'a> = (u32, &'a str);
 
+/// The lines as Python reads them from a file: they end with `\n`, `\r\n` or `\r`.
 pub(crate) fn lines(text: &str) -> Vec<Numbered<'_>> {
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
-    (1..).zip(text.lines()).collect()
+    (1..).zip(text.lines().flat_map(|line| line.split('\r'))).collect()
 }
 
 /// What is left of a line.
