@@ -49,12 +49,15 @@ impl Attributes {
 fn check_name(name: &LitStr) -> Result<()> {
     let text = name.value();
     let mut parts = text.split('/');
+    let tidy = |part: &str| !part.contains("__") && !part.ends_with('_');
     let package = |part: &str| {
-        part.starts_with(|c: char| c.is_ascii_lowercase())
+        tidy(part)
+            && part.starts_with(|c: char| c.is_ascii_lowercase())
             && part.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
     };
     let type_name = |part: &str| {
-        part.starts_with(|c: char| c.is_ascii_uppercase())
+        tidy(part)
+            && part.starts_with(|c: char| c.is_ascii_uppercase())
             && part.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
     };
     let good = parts.next().is_some_and(package)
@@ -64,7 +67,10 @@ fn check_name(name: &LitStr) -> Result<()> {
     if good {
         return Ok(());
     }
-    Err(Error::new_spanned(name, "a message name is `package/msg/Name`, as in \"demo_msgs/msg/Tick\""))
+    Err(Error::new_spanned(
+        name,
+        "a message name is `package/msg/Name`, as in \"demo_msgs/msg/Tick\", with single underscores and none last",
+    ))
 }
 
 /// The words in `#[repr(...)]`.

@@ -24,7 +24,7 @@ pub struct Demo {
     ok: bool,
     wide: String,
     last: Vec<f64>,
-    two: [u8; 2],
+    type_: [u8; 2],
 }
 
 #[derive(Clone, Copy, Default)]
@@ -54,7 +54,7 @@ cdr_form! {
         ok: bool,
         wide: Bounded<WString, 2>,
         last: Vec<f64>,
-        two: [u8; 2],
+        type_: [u8; 2],
     }
 }
 in_place! {
@@ -66,12 +66,12 @@ in_place! {
         ok: bool as bool [],
         wide: Bounded<WString, 2> as WStr<'a> [wide],
         last: Vec<f64> as &'a [f64] [last],
-        two: [u8; 2] as &'a [u8; 2] [],
+        type_: [u8; 2] as &'a [u8; 2] [],
     }
 }
 message! { DemoRef Demo "demo_msgs/msg/Demo" {} }
 
-const DEFINITION: &str = "string<=1 name\nPoint[<=2] path\nbool ok\nwstring<=2 wide\nfloat64[] last\nuint8[2] two\n===\n\
+const DEFINITION: &str = "string<=1 name\nPoint[<=2] path\nbool ok\nwstring<=2 wide\nfloat64[] last\nuint8[2] type\n===\n\
     MSG: demo_msgs/Point\nfloat64 x\nstring label\nbool[2] flags\n";
 
 #[rustfmt::skip]
@@ -81,7 +81,7 @@ const BODY: [u8; LEN] = [
     0, 0, 0, 0, 0, 0, 0xf0, 0x3f, 2, 0, 0, 0, b'b', 0, 1, 0, // path[0]
     1, 0, 0, 0, 1, 0, 0, 0, 0xe9, 0, 0, 0, // ok, wide
     1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0xc0, // last
-    7, 8, // two
+    7, 8, // type
 ];
 const LEN: usize = 58;
 
@@ -138,7 +138,7 @@ fn truncated() {
     refused(&BODY[..31], "byte 30 of the body, field `path[0].flags`", &needed(2, 1));
     refused(&BODY[..32], "byte 32 of the body, field `ok`", &needed(1, 0));
     refused(&BODY[..43], "byte 40 of the body, field `wide`", &needed(4, 3));
-    refused(&BODY[..57], "byte 56 of the body, field `two`", &needed(2, 1));
+    refused(&BODY[..57], "byte 56 of the body, field `type`", &needed(2, 1));
     for end in 0..LEN {
         assert!(fault(&BODY[..end]).is_err(), "{end}");
     }

@@ -236,9 +236,10 @@ impl fmt::Debug for FieldPath {
     }
 }
 
-/// A field's name as the definition has it.
+/// A field's name as the definition has it: a keyword of Rust is `r#type` or, generated, `type_`. No name in ROS ends with `_`.
 fn plain(field: &'static str) -> &'static str {
-    field.strip_prefix("r#").unwrap_or(field)
+    let field = field.strip_prefix("r#").unwrap_or(field);
+    field.strip_suffix('_').unwrap_or(field)
 }
 
 impl<F: fmt::Display> fmt::Display for FieldError<F> {

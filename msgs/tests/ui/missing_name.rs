@@ -15,4 +15,18 @@ struct Tock {
     count: u64,
 }
 
+#[derive(Message, Clone, Copy)]
+#[message(name = "demo__msgs/msg/Tack", crate = "tautline_msgs")]
+#[repr(C)]
+struct Tack {
+    count: u64,
+}
+
+#[derive(Message, Clone, Copy)]
+#[message(name = "demo_msgs/msg/Tuck_", crate = "tautline_msgs")]
+#[repr(C)]
+struct Tuck {
+    count: u64,
+}
+
 fn main() {}
