@@ -67,7 +67,8 @@ impl Builder {
     }
 
     /// Searches this folder too: a package (with `package.xml`, or `msg`, `srv`, `action` in it) or one that holds packages.
-    /// Relative to the crate's `Cargo.toml`. Of two folders with the same package the first wins.
+    /// Relative to the crate's `Cargo.toml`. Of two folders with the same package the first wins. If the crate lies in the package itself, cargo
+    /// does not notice the package's first `msg`, `srv` or `action` folder: `touch build.rs`.
     pub fn folder(mut self, folder: impl AsRef<Path>) -> Self {
         self.folders.push(folder.as_ref().to_owned());
         self
@@ -116,7 +117,8 @@ impl Builder {
         println!("cargo::rerun-if-env-changed=AMENT_PREFIX_PATH");
         let folders: Vec<_> =
             self.folders.iter().map(|folder| Folder::open(&base.join(folder))).collect::<Result<_, _>>()?;
-        for path in folders.iter().flat_map(Folder::watched) {
+        let crate_folder = fs::canonicalize(&base).unwrap_or(base);
+        for path in folders.iter().flat_map(|folder| folder.watched(&crate_folder)) {
             println!("cargo::rerun-if-changed={}", path.display());
         }
 

@@ -50,9 +50,9 @@ impl Folder {
     }
 
     /// The paths that cargo has to watch. Cargo watches everything in a folder, so only the relevant parts of a package are
-    /// named: its folder may be the crate's own, which contains the build output.
-    pub fn watched(&self) -> Vec<PathBuf> {
-        if self.package.is_none() {
+    /// named if the crate lies in it: its folder then contains the build output.
+    pub fn watched(&self, crate_folder: &Path) -> Vec<PathBuf> {
+        if self.package.is_none() || !crate_folder.starts_with(&self.path) {
             return vec![self.path.clone()];
         }
         let parts = KINDS.into_iter().chain(["package.xml"]).map(|part| self.path.join(part));
