@@ -21,7 +21,7 @@ pub(crate) const MIN_EVENTS: usize = 16;
 pub(crate) const MAX_EVENTS: usize = 1 << 20;
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tauttrac");
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 /// Meaning of the state word, which its owner writes.
 pub(crate) mod state {
@@ -52,6 +52,7 @@ struct Header {
     unrecorded: AtomicU64,
     undescribed: AtomicU64,
     described: AtomicU64,
+    claimed_objects: AtomicU64,
 }
 
 /// An object that events refer to. `turn` is odd while the owner writes, and grows with every use of the entry.
@@ -235,6 +236,11 @@ impl Map {
     /// Counts the entries written to the table of objects.
     pub(crate) fn described(self) -> &'static AtomicU64 {
         &self.layout().header.described
+    }
+
+    /// How many entries of the table of objects have memory, the first ones. To read others would take memory, or raise SIGBUS.
+    pub(crate) fn claimed_objects(self) -> &'static AtomicU64 {
+        &self.layout().header.claimed_objects
     }
 
     /// Whether a recorder has fetched all events.

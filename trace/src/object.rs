@@ -7,6 +7,7 @@ use crate::layout::{Map, NAME_BYTES, OBJECTS, ObjectWords};
 use crate::process;
 use crate::sync::{AtomicU64, Ordering, fence};
 use std::collections::VecDeque;
+use std::ops::Range;
 use tautline_rt::clock::monotonic_ns;
 
 /// The kind of an object.
@@ -111,24 +112,38 @@ fn shortened(name: &str) -> &str {
     &name[..end]
 }
 
-/// The unused entries, the longest unused first, so that an ended object's description stays readable as long as possible.
-pub(crate) struct FreeEntries(VecDeque<usize>);
+/// The unused entries. The longest unused is taken first, so that an ended object's description stays readable as long as possible.
+pub(crate) struct FreeEntries {
+    never_used: Range<usize>,
+    given_back: VecDeque<usize>,
+}
 
 impl FreeEntries {
     pub(crate) const fn none() -> FreeEntries {
-        FreeEntries(VecDeque::new())
+        FreeEntries { never_used: 0..0, given_back: VecDeque::new() }
     }
 
     pub(crate) fn all() -> FreeEntries {
-        FreeEntries((0..OBJECTS).collect())
+        FreeEntries { never_used: 0..OBJECTS, ..Self::none() }
     }
 
-    pub(crate) fn take(&mut self) -> Option<usize> {
-        self.0.pop_front()
+    /// `claim` gives an entry memory, and returns whether there was any.
+    pub(crate) fn take(&mut self, claim: impl FnOnce(usize) -> bool) -> Option<usize> {
+        let first = self.never_used.start;
+        if self.never_used.is_empty() || !claim(first) {
+            return self.given_back.pop_front();
+        }
+        self.never_used.start += 1;
+        Some(first)
+    }
+
+    /// How many entries have memory, the first ones.
+    pub(crate) fn claimed(&self) -> usize {
+        self.never_used.start
     }
 
     pub(crate) fn give_back(&mut self, index: usize) {
-        self.0.push_back(index);
+        self.given_back.push_back(index);
     }
 }
 
@@ -189,7 +204,9 @@ impl ObjectWords {
 
 /// Every entry of a process's table that can be read.
 pub(crate) fn entries(map: Map) -> impl Iterator<Item = (usize, u64, Description)> {
-    let entries = map.layout().objects.iter().enumerate();
+    // Relaxed: the caller has read `described`.
+    let claimed = map.claimed_objects().load(Ordering::Relaxed) as usize;
+    let entries = map.layout().objects.iter().take(claimed).enumerate();
     entries.filter_map(|(index, words)| words.read().map(|(turn, object)| (index, turn, object)))
 }
 
@@ -221,6 +238,17 @@ mod tests {
         assert_eq!(object.name.len(), 192);
         entry.write(&object);
         assert_eq!(entry.read(), Some((4, object)));
+    }
+
+    #[test]
+    fn entries_without_memory_are_not_used() {
+        let mut free = FreeEntries::all();
+        let (full, room) = (|_| false, |_| true);
+        assert_eq!([free.take(room), free.take(full), free.take(room)], [Some(0), None, Some(1)]);
+        free.give_back(1);
+        free.give_back(0);
+        assert_eq!([free.take(full), free.take(room), free.take(full)], [Some(1), Some(2), Some(0)]);
+        assert_eq!(free.claimed(), 3);
     }
 
     #[test]

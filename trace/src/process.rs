@@ -292,8 +292,8 @@ pub(crate) struct ObjectEntry {
 pub(crate) fn describe(object: &Description) -> Option<ObjectEntry> {
     let mut process = PROCESS.lock();
     let Process { file: Some(own), free, .. } = &mut *process else { return None };
-    let index = free.take().filter(|index| {
-        let (offset, len) = own.map.object_range(*index);
+    let index = free.take(|index| {
+        let (offset, len) = own.map.object_range(index);
         own.file.claim(offset, len).is_ok()
     });
     let Some(index) = index else {
@@ -301,6 +301,7 @@ pub(crate) fn describe(object: &Description) -> Option<ObjectEntry> {
         return None;
     };
     own.map.layout().objects[index].write(object);
+    own.map.claimed_objects().store(free.claimed() as u64, Ordering::Relaxed);
     // Release: pairs with the Acquire of the recorder, which then looks at the table.
     own.map.described().fetch_add(1, Ordering::Release);
     Some(ObjectEntry { index, generation: thread::generation() })

@@ -5,6 +5,7 @@
 
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Write};
+use std::os::unix::fs::MetadataExt;
 use std::path::PathBuf;
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use tautline_trace::{EventKind, MessageId, Record, Recorder, TraceError, TraceMode, TraceSettings};
@@ -323,13 +324,32 @@ fn a_killed_recorder_leaves_nothing_switched_on() {
     assert_eq!(files(DOMAIN), Vec::<PathBuf>::new());
 }
 
+/// To read a page that was never written takes memory, and kills the recorder if there is none.
+#[test]
+fn a_recorder_takes_no_memory_in_the_file_of_a_process() {
+    const DOMAIN: u32 = 1208;
+    alone("a_recorder_takes_no_memory_in_the_file_of_a_process", || {
+        tautline_trace::configure(TraceSettings::from(TraceMode::On).ring_events(16));
+        let _membership = tautline_trace::join(DOMAIN).unwrap();
+        let publisher = tautline_trace::publisher_init("/small", 1, [1, 2]);
+        publish(&publisher, 1);
+        let file = files(DOMAIN).pop().unwrap();
+        let blocks = || std::fs::metadata(&file).unwrap().blocks();
+        let before = blocks();
+        let (mut recorder, mut seen) = (Recorder::start(DOMAIN).unwrap(), Seen::default());
+        recorder.poll(&mut |record| seen.note(record));
+        assert_eq!((seen.numbers(), seen.objects.as_slice()), (vec![1], ["/small".to_owned()].as_slice()));
+        assert_eq!(blocks(), before);
+    });
+}
+
 #[test]
 fn files_that_lie_are_left_out_by_name() {
     const DOMAIN: u32 = 1199;
     tautline_rt::shm::make_folder(&tautline_rt::domain::shared_folder(DOMAIN)).unwrap();
     let path = |name: &str| folder(DOMAIN).join(format!("trace_p{name}"));
     std::fs::write(path("garbage"), [0xAB; 5000]).unwrap();
-    std::fs::write(path("short"), b"tauttrac\x01\0\0\0\x40\0\0\0").unwrap();
+    std::fs::write(path("short"), b"tauttrac\x02\0\0\0\x40\0\0\0").unwrap();
     std::fs::write(path("empty"), b"").unwrap();
     let mut recorder = Recorder::start(DOMAIN).unwrap();
     let mut records = 0;
