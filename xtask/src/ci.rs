@@ -107,8 +107,9 @@ pub fn run(steps: &mut Steps, scope: &Scope) {
     }
     let r2r = r2r_tests::build(steps);
     if built {
-        guests::test(steps, &GUESTS, Extent::Quick, WHOLE);
+        let programs = guests::build_for(steps, &GUESTS, Extent::Quick, WHOLE);
         let apart = Job::Apart.start();
+        guests::test(steps, &GUESTS, Extent::Quick, &programs);
         r2r.run(steps);
         of_the_build(steps);
         steps.join(apart);

@@ -99,42 +99,54 @@ pub fn run(steps: &mut Steps, named: &[Guest], extent: Extent) {
         other => other,
     });
     if is_prepared {
-        test(steps, guests, extent, &format!("{PACKAGES} {SAME}"));
+        let programs = build_for(steps, guests, extent, &format!("{PACKAGES} {SAME}"));
+        test(steps, guests, extent, &programs);
     }
 }
 
-/// A step for each guest, with what the tests' build of `targets` makes where this machine can run it; then a table.
-pub fn test(steps: &mut Steps, guests: &[Guest], extent: Extent, targets: &str) {
-    let mut reports = Vec::new();
+/// The programs that guests run, as far as they can be built: where this machine can run them, those of the tests' build of `targets`.
+pub fn build_for(steps: &mut Steps, guests: &[Guest], extent: Extent, targets: &str) -> Programs {
+    let mut programs = Vec::new();
     for architecture in Architecture::value_variants().iter().copied() {
-        let guests: Vec<_> = guests.iter().filter(|guest| guest.architecture() == architecture).collect();
-        let mut built = Vec::new();
-        let is_built = extent == Extent::Packages
-            || guests.iter().any(|guest| guest.is_there())
-                && steps.step(&format!("guests: build for {architecture}"), || {
-                    build(architecture, targets).map(|all| built = all)
-                });
-        for guest in guests {
-            let name = format!("guest {}", word(*guest));
-            match (guest.is_there(), is_built) {
-                (false, _) => steps.skip(&name, "without its packages"),
-                (true, false) => steps.skip(&name, "not built"),
-                (true, true) => drop(steps.step(&name, || {
-                    let report = guest.run(|image| match extent {
-                        Extent::Packages => package(architecture, image),
-                        _ => tests(&built, extent, image),
-                    })?;
-                    let verdict = report.verdict();
-                    reports.push((word(*guest), report));
-                    verdict
-                })),
-            }
+        let mut of_architecture = guests.iter().filter(|guest| guest.architecture() == architecture);
+        if extent == Extent::Packages {
+            programs.push((architecture, Vec::new()));
+        } else if of_architecture.any(|guest| guest.is_there()) {
+            steps.step(&format!("guests: build for {architecture}"), || {
+                build(architecture, targets).map(|built| programs.push((architecture, built)))
+            });
+        }
+    }
+    programs
+}
+
+/// A step for each guest, with the programs of [`build_for`]; then a table.
+pub fn test(steps: &mut Steps, guests: &[Guest], extent: Extent, programs: &Programs) {
+    let mut reports = Vec::new();
+    for guest in guests {
+        let name = format!("guest {}", word(*guest));
+        let built = programs.iter().find(|(architecture, _)| *architecture == guest.architecture());
+        match (guest.is_there(), built) {
+            (false, _) => steps.skip(&name, "without its packages"),
+            (true, None) => steps.skip(&name, "not built"),
+            (true, Some((architecture, built))) => drop(steps.step(&name, || {
+                let report = guest.run(|image| match extent {
+                    Extent::Packages => package(*architecture, image),
+                    _ => tests(built, extent, image),
+                })?;
+                let verdict = report.verdict();
+                reports.push((word(*guest), report));
+                verdict
+            })),
         }
     }
     if !reports.is_empty() {
         emulator::print(&reports);
     }
 }
+
+/// By architecture.
+pub type Programs = Vec<(Architecture, Vec<Executable>)>;
 
 /// What runs on machines of this architecture.
 fn build(architecture: Architecture, targets: &str) -> Result<Vec<Executable>, String> {
