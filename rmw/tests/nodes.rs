@@ -551,6 +551,11 @@ fn nodes_on_two_hosts_hear_each_other_through_gateways() {
     let texts: Vec<String> = (0..50).map(|n| format!("n {n}")).collect();
     here.publish_text(from, &texts);
     assert_eq!(there.take_texts(to, 50), texts);
+    // Each endpoint counts, not the gateway's that carries the messages of all.
+    there.subscription("/across", STRING, json!({}));
+    here.matched(from, 2);
+    here.publisher("/across", STRING, json!({}));
+    there.matched(to, 2);
     here.tell(json!({ "do": "service", "name": "/across/echo", "type": BASIC_TYPES, "behaviour": "echo" }));
     let client = there.tell(json!({ "do": "client", "name": "/across/echo", "type": BASIC_TYPES }));
     let answer = there.tell(json!({ "do": "call", "end": client, "requests": [{ "int32_value": 7 }] }));

@@ -10,9 +10,9 @@ use std::time::Duration;
 use support::{Count, LIMITS, Part, clean, domain, say, take_all, wait_for, wait_for_the_end};
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_transport::{
-    EndpointKind, Gid, IncompatibleQos, Liveliness, LivelinessChanged, Matched, MessageInfo, MessageLost,
-    NodeName, Origin, Participant, Publisher, Qos, QosPolicyKind, RemoteGraph, Subscription, TopicEndpoint,
-    TopicType,
+    EndpointKind, Gid, IncompatibleQos, Liveliness, LivelinessChanged, Matched, MatchedCount, MessageInfo,
+    MessageLost, NodeName, Origin, Participant, Publisher, Qos, QosPolicyKind, RemoteGraph, Subscription,
+    TopicEndpoint, TopicType,
 };
 
 const HOUR: Option<Duration> = Some(Duration::from_secs(3600));
@@ -388,6 +388,11 @@ fn monitors_tell_of_ends_on_other_hosts_and_not_of_their_stand_ins() {
     let _out = gateway.create_relay_subscription("/far", &topic_type, Qos::default(), LIMITS).unwrap();
     assert_eq!(requested.changes(monotonic_ns()), Default::default(), "a stand-in is no end");
     assert_eq!(offered.changes(), Default::default());
+    let counts = [subscription.as_ref().matched(), publisher.as_ref().matched()];
+    let counted = || counts.each_ref().map(MatchedCount::get);
+    let here = || (subscription.publisher_count(), publisher.subscription_count());
+    wait_for("the stand-ins", || here() == (2, 2));
+    assert_eq!(counted(), [1, 1], "stand-ins count only beside nobody");
     let end = |topic: &str, type_name: &'static str, kind, gid| TopicEndpoint {
         kind,
         topic: topic.into(),
@@ -436,6 +441,7 @@ fn monitors_tell_of_ends_on_other_hosts_and_not_of_their_stand_ins() {
             .matched
             .is_some_and(|matched| (matched.current_count, matched.total_count) == (2, 2))
     });
+    assert_eq!((counted(), here()), ([3, 2], (2, 2)));
 
     // Who looks later sees it at once, as who looked before.
     let mut late = subscription.as_ref().monitor(&slots[0]);

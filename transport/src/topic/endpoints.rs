@@ -45,10 +45,6 @@ impl Endpoint {
         Endpoint { gid, mismatch, qos, is_relay: false, is_observer: false, remote, partner, liveliness }
     }
 
-    fn is_matched_here(&self) -> bool {
-        self.mismatch.is_none() && self.remote.is_none() && !self.is_observer
-    }
-
     /// Whether it is an endpoint of the topic itself: not one that stands for others, which are listed, and no observer.
     pub(crate) fn is_itself(&self) -> bool {
         !self.is_relay && !self.is_observer
@@ -67,8 +63,6 @@ pub(crate) struct EndpointList {
 #[derive(Default)]
 pub(crate) struct Endpoints {
     list: BTreeMap<Gid, Endpoint>,
-    /// The number of matched endpoints on this host.
-    matched: usize,
     killed: u64,
     monitors: Vec<LatestWriter<Arc<EndpointList>>>,
     has_changed: bool,
@@ -81,9 +75,7 @@ impl Endpoints {
 
     /// Adds an endpoint, or replaces its entry.
     pub(crate) fn set(&mut self, endpoint: Endpoint) {
-        self.matched += usize::from(endpoint.is_matched_here());
-        let former = self.list.insert(endpoint.gid, endpoint);
-        self.matched -= usize::from(former.is_some_and(|former| former.is_matched_here()));
+        self.list.insert(endpoint.gid, endpoint);
         self.has_changed = true;
     }
 
@@ -91,7 +83,6 @@ impl Endpoints {
     pub(crate) fn remove(&mut self, gid: Gid, was_killed: bool) -> bool {
         let Some(endpoint) = self.list.remove(&gid) else { return false };
         self.has_changed = true;
-        self.matched -= usize::from(endpoint.is_matched_here());
         let matched = endpoint.mismatch.is_none();
         self.killed += u64::from(matched && was_killed && endpoint.is_itself());
         matched
@@ -114,12 +105,22 @@ impl Endpoints {
         }
     }
 
-    /// Updates the matched count and the monitors, if anything changed since the last call. Returns whether it did.
-    pub(crate) fn notify(&mut self, matched: &AtomicUsize) -> bool {
+    /// Updates the matched counts and the monitors, if anything changed since the last call. Returns whether it did.
+    pub(crate) fn notify(&mut self, counts: &MatchCounts) -> bool {
         if !std::mem::take(&mut self.has_changed) {
             return false;
         }
-        matched.store(self.matched, Ordering::Release);
+        let matched = || {
+            let matches = |endpoint: &&Endpoint| endpoint.mismatch.is_none() && !endpoint.is_observer;
+            self.list.values().filter(matches)
+        };
+        let here = matched().filter(|endpoint| endpoint.remote.is_none()).count();
+        let everywhere = match matched().filter(|endpoint| endpoint.is_relay).count() {
+            0 => here,
+            relays => (matched().count() - relays).max(1),
+        };
+        counts.here.store(here, Ordering::Release);
+        counts.everywhere.store(everywhere, Ordering::Release);
         self.monitors.retain(|monitor| !monitor.is_abandoned());
         if !self.monitors.is_empty() {
             let list = Arc::new(self.to_list());
@@ -140,9 +141,19 @@ impl Endpoints {
     }
 }
 
-/// The number of endpoints that match an endpoint of a topic: a count that any thread may read.
+/// How many endpoints match an endpoint of a topic.
+#[derive(Default)]
+pub(crate) struct MatchCounts {
+    /// On this host, relays included.
+    pub(crate) here: AtomicUsize,
+    /// On all hosts, as [`MatchedCount`] says.
+    everywhere: AtomicUsize,
+}
+
+/// The number of endpoints that match an endpoint of a topic, on all hosts: a count that any thread may read. Endpoints on other hosts
+/// count while a gateway or bridge is connected, which itself counts as one until an endpoint is announced, since messages already pass.
 #[derive(Clone)]
-pub struct MatchedCount(pub(crate) Arc<AtomicUsize>);
+pub struct MatchedCount(pub(crate) Arc<MatchCounts>);
 
 impl MatchedCount {
     /// The count.
@@ -150,7 +161,7 @@ impl MatchedCount {
     /// # Real-time
     /// Wait-free: one load.
     pub fn get(&self) -> usize {
-        self.0.load(Ordering::Acquire)
+        self.0.everywhere.load(Ordering::Acquire)
     }
 }
 
@@ -172,5 +183,38 @@ impl LivelinessSource {
     /// The time of the last assertion.
     pub(crate) fn alive_ns(&self) -> u64 {
         self.0.block().out.alive_ns.load(Ordering::Relaxed)
+    }
+}
+
+#[cfg(all(test, not(taut_loom)))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn endpoints_on_other_hosts_count_while_a_relay_is_matched() {
+        let gid = |n: u8| Gid([n; 16]);
+        let (mut endpoints, counts) = (Endpoints::default(), MatchCounts::default());
+        let counted = |endpoints: &mut Endpoints| {
+            endpoints.notify(&counts);
+            [&counts.here, &counts.everywhere].map(|count| count.load(Ordering::Acquire))
+        };
+        let told = [(gid(11), 1), (gid(12), 2), (gid(13), 3)];
+        endpoints.set_remote(&told, &HashSet::new());
+        assert_eq!(counted(&mut endpoints), [0, 0], "messages do not pass yet");
+        let relay = |n: u8| Endpoint { is_relay: true, ..Endpoint::new(gid(n), Qos::default()) };
+        endpoints.set(relay(1));
+        assert_eq!(counted(&mut endpoints), [1, 3]);
+        endpoints.set(relay(2));
+        endpoints.set(Endpoint::new(gid(3), Qos::default()));
+        endpoints.set(Endpoint { is_observer: true, ..Endpoint::new(gid(4), Qos::default()) });
+        endpoints.set(Endpoint { mismatch: Some(Mismatch::Type), ..Endpoint::new(gid(5), Qos::default()) });
+        assert_eq!(counted(&mut endpoints), [3, 4]);
+        endpoints.set_remote(&[], &HashSet::new());
+        assert_eq!(counted(&mut endpoints), [3, 1]);
+        endpoints.remove(gid(3), false);
+        assert_eq!(counted(&mut endpoints), [2, 1], "messages pass, for whomever");
+        endpoints.remove(gid(1), false);
+        endpoints.remove(gid(2), false);
+        assert_eq!(counted(&mut endpoints), [0, 0]);
     }
 }

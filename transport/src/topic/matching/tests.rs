@@ -90,7 +90,7 @@ fn a_subscription_that_goes_before_it_has_found_its_publisher_calls_it_and_holds
     assert_ne!(one.calls(), before, "its publisher is told");
     one.matcher.refresh();
     assert!(publisher.participants().is_empty(), "nothing is kept for it");
-    assert_eq!(publisher.matched.load(Ordering::Acquire), 0);
+    assert_eq!(publisher.matched.here.load(Ordering::Acquire), 0);
 }
 
 #[test]

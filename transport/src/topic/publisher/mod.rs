@@ -226,10 +226,10 @@ impl RawPublisher {
     /// # Real-time
     /// Wait-free: one load.
     pub fn subscription_count(&self) -> usize {
-        self.core.matched.load(Ordering::Acquire)
+        self.core.matched.here.load(Ordering::Acquire)
     }
 
-    /// Like [`subscription_count`](Self::subscription_count), readable from any thread.
+    /// The number of matching subscriptions on all hosts, readable from any thread.
     pub fn matched(&self) -> MatchedCount {
         MatchedCount(self.core.matched.clone())
     }

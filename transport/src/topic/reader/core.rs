@@ -9,7 +9,7 @@ use crate::memory::header::Gid;
 use crate::qos::{History, Limits, Liveliness, Qos};
 use crate::topic::chunks::{Chunks, Keyed};
 use crate::topic::declaration::Topic;
-use crate::topic::endpoints::{Endpoint, EndpointList, Endpoints, LivelinessSource, Mismatch};
+use crate::topic::endpoints::{Endpoint, EndpointList, Endpoints, LivelinessSource, MatchCounts, Mismatch};
 use crate::topic::reader::receiver::{
     Receiver, ReceiverKind, TakeState, WriterEntry, WriterProxy, WriterTable,
 };
@@ -47,8 +47,8 @@ pub(crate) struct SubscriptionCore {
     /// For a client's responses: the number of the port of its requests.
     partner: Option<u64>,
     pub(crate) slot: Arc<Slot>,
-    /// Publishers on this host that match.
-    pub(crate) matched: Arc<AtomicUsize>,
+    /// Publishers that match.
+    pub(crate) matched: Arc<MatchCounts>,
     /// Samples of ended publishers that no take has seen and none will.
     pub(crate) forgotten: AtomicU64,
     /// The subscription has gone, and all its samples have been returned.

@@ -243,10 +243,10 @@ impl RawSubscription {
     /// # Real-time
     /// Wait-free: one load.
     pub fn publisher_count(&self) -> usize {
-        self.core().matched.load(Ordering::Acquire)
+        self.core().matched.here.load(Ordering::Acquire)
     }
 
-    /// Like [`publisher_count`](Self::publisher_count), readable from any thread.
+    /// The number of matching publishers on all hosts, readable from any thread.
     pub fn matched(&self) -> MatchedCount {
         MatchedCount(self.core().matched.clone())
     }

@@ -14,7 +14,7 @@ use crate::memory::sizes::{Demand, Window, grown_sample_bytes, sample_bytes};
 use crate::qos::{Claim, Durability, Limits, Qos};
 use crate::topic::chunks::{Chunks, Keyed};
 use crate::topic::declaration::Topic;
-use crate::topic::endpoints::{Endpoint, Endpoints, Mismatch};
+use crate::topic::endpoints::{Endpoint, Endpoints, MatchCounts, Mismatch};
 use crate::topic::writer::history::History;
 use crate::topic::writer::sender::{
     PublishState, ReaderChannel, ReaderProxy, ReaderTable, SpareList, words_for,
@@ -22,7 +22,7 @@ use crate::topic::writer::sender::{
 use std::collections::{BTreeSet, HashSet};
 use std::io;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use tautline_doorbell::Slot;
 use tautline_rt::{LatestWriter, PiGuard, PiMutex, affinity_of, latest};
 
@@ -70,8 +70,8 @@ pub(crate) struct PublisherCore {
     /// The number of the last sample that was published.
     pub(crate) published: AtomicU64,
     pub(crate) traffic: Traffic,
-    /// Subscriptions on this host that match.
-    pub(crate) matched: Arc<AtomicUsize>,
+    /// Subscriptions that match.
+    pub(crate) matched: Arc<MatchCounts>,
     /// The lock inherits priority: the janitor holds it while it maps memory, and a publishing thread may be a real-time one.
     setup: PiMutex<Setup>,
 }
