@@ -183,7 +183,7 @@ impl Node {
     }
 
     /// A stream that yields an item when something in the domain has appeared or disappeared since its last item,
-    /// or since the stream was created.
+    /// or since the stream was created, and when an endpoint of this context has been connected or disconnected.
     pub fn graph_events(&self) -> Result<GraphEvents> {
         Ok(self.participant.graph_events()?)
     }

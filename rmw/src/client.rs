@@ -2,7 +2,6 @@
 //! Clients of services. Requests are queued while there is no server.
 
 use crate::bindings::*;
-use crate::context::Watchers;
 use crate::distro;
 use crate::end::{MessageQueue, ReceivingEndpoint};
 use crate::error::{Error, Result};
@@ -118,14 +117,13 @@ impl Client {
     }
 }
 
-/// Sends waiting requests when a server appears or has room, and signals new servers, until the client is destroyed.
-async fn serve(end: Weak<ReceivingEndpoint<Asking>>, watchers: Arc<Watchers>, listeners: Arc<Listeners>) {
-    let mut servers = 0;
+/// Sends waiting requests when a server appears or has room, until the client is destroyed.
+async fn serve(end: Weak<ReceivingEndpoint<Asking>>, listeners: Arc<Listeners>) {
     poll_fn(|context| {
         let Some(end) = end.upgrade() else { return Poll::Ready(()) };
-        let (mut flushed, found) = end.with(|asking| {
+        let mut flushed = end.with(|asking| {
             asking.raw.wake_once(context.waker());
-            (asking.flush_one(), asking.raw.server_count())
+            asking.flush_one()
         });
         // One request per lock, so that another thread waits for one of them, not for all.
         while let Ok(true) = flushed {
@@ -134,10 +132,6 @@ async fn serve(end: Weak<ReceivingEndpoint<Asking>>, watchers: Arc<Watchers>, li
         listeners.notify();
         if let Err(error) = flushed {
             tracing::warn!("a request was not sent, retrying: {error:?}");
-        }
-        // The graph showed the server earlier, but only now can it be called.
-        if std::mem::replace(&mut servers, found) != found {
-            watchers.trigger();
         }
         Poll::Pending
     })
@@ -162,9 +156,8 @@ exported! {
         let listeners = &context.listeners;
         let (requests, responses) = (listeners.of_requests(name), listeners.of_responses(name));
         let end = ReceivingEndpoint::new(node, Asking { raw, unsent: VecDeque::new() }, responses)?;
-        let (served, watchers) = (Arc::downgrade(&end), context.watchers().clone());
-        let listeners = requests.clone();
-        context.helper.run(move || serve(served, watchers, requests));
+        let (served, listeners) = (Arc::downgrade(&end), requests.clone());
+        context.helper.run(move || serve(served, requests));
         let client =
             Client { node: node.into(), of, qos: qos::to_ros(&wanted, false), depth, gid, listeners, end };
         hand_out(node, name, client, |_| ())

@@ -43,10 +43,10 @@ pub(crate) struct Context {
 
 /// Signals to set when the graph changes.
 #[derive(Default)]
-pub(crate) struct Watchers(Mutex<Vec<Weak<Signal>>>);
+struct Watchers(Mutex<Vec<Weak<Signal>>>);
 
 impl Watchers {
-    pub(crate) fn trigger(&self) {
+    fn trigger(&self) {
         let mut signals = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         signals.retain(|signal| {
             signal.upgrade().is_some_and(|signal| {
@@ -168,11 +168,6 @@ impl Context {
         priority: Option<u8>,
     ) -> Result<Arc<NotifierWaker>> {
         self.notifier.serve(endpoint, priority, || self.waiters.claim(&self.participant))
-    }
-
-    /// The signals to set for changes that are known before the graph shows them.
-    pub(crate) fn watchers(&self) -> &Arc<Watchers> {
-        &self.watchers
     }
 
     /// Sets `signal` when the graph changes, as long as it exists.

@@ -595,6 +595,41 @@ fn a_wait_ends_by_what_is_ready_by_a_trigger_from_elsewhere_or_by_its_time() {
     }
 }
 
+/// The graph shows an endpoint before it is connected: who looked in between looks again.
+#[test]
+fn a_match_triggers_the_graph_guard_condition() {
+    let (mut world, other) = (World::new(225), World::join(225));
+    let of = support("geometry_msgs", "Point");
+    // SAFETY: rmw's protocol.
+    unsafe {
+        let set = wait::rmw_create_wait_set(&mut *world.context, 0);
+        let guard = node::rmw_node_get_graph_guard_condition(world.node);
+        let subscription = world.subscription(of, &profile(1));
+        let wait_for_publishers = |wanted: usize| loop {
+            let mut count = 0;
+            let counted = subscription::rmw_subscription_count_matched_publishers(subscription, &mut count);
+            assert_eq!(counted, RET_OK);
+            if count == wanted {
+                return;
+            }
+            let waited = wait_for(set, null_mut(), &mut [(*guard).data], &PATIENCE);
+            assert_eq!(
+                waited,
+                (RET_OK, false),
+                "{count} publishers, and nothing says that there are {wanted}"
+            );
+        };
+        for _ in 0..200 {
+            let publisher = other.publisher(of, &profile(1));
+            wait_for_publishers(1);
+            assert_eq!(publisher::rmw_destroy_publisher(other.node, publisher), RET_OK);
+            wait_for_publishers(0);
+        }
+        assert_eq!(subscription::rmw_destroy_subscription(world.node, subscription), RET_OK);
+        assert_eq!(wait::rmw_destroy_wait_set(set), RET_OK);
+    }
+}
+
 /// As rclpy does with its type description service: others see neither the node nor its endpoints, and the context's end leaves nothing.
 #[test]
 fn endpoints_that_are_not_destroyed_end_with_their_node() {

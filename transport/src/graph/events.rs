@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Wakes tasks when the graph changes: one thread sleeps on the domain's epoch for all tasks of a participant.
+//! Wakes tasks when the graph changes: one thread sleeps on the domain's epoch for all tasks of a participant. Whoever changes what the
+//! participant's endpoints match wakes them, too.
 
 use crate::error::TransportError;
 use crate::graph::domain::Domain;
@@ -7,44 +8,51 @@ use crate::low_priority::low_priority_thread;
 use futures::Stream;
 use futures::task::AtomicWaker;
 use std::pin::Pin;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::task::{Context, Poll};
-use tautline_rt::JoinHandle;
+use tautline_rt::{JoinHandle, PiMutex};
 
 /// A stream that yields an item when a node, publisher, subscription, service or client of the domain has appeared or
-/// disappeared since its last item, or since the stream was created. Several changes may be one item. The stream ends with
-/// its participant.
+/// disappeared since its last item, or since the stream was created, and when an endpoint of its participant has been connected or
+/// disconnected. Several changes may be one item. The stream ends with its participant.
 ///
 /// To wait for a state of the graph, create the stream first, then read the graph, then await the next event, then read the
 /// graph again.
 pub struct GraphEvents {
     domain: Arc<Domain>,
     listener: Arc<Listener>,
-    seen: u32,
+    seen: (u32, u32),
 }
 
 struct Listener {
     waker: AtomicWaker,
-    all: Arc<Listeners>,
+    all: Arc<GraphListeners>,
 }
 
+/// The tasks of a participant that wait for changes.
 #[derive(Default)]
-struct Listeners {
-    list: Mutex<Vec<Weak<Listener>>>,
+pub(crate) struct GraphListeners {
+    list: PiMutex<Vec<Weak<Listener>>>,
+    /// How often the matches of the participant's endpoints have changed.
+    matches: AtomicU32,
     stop: AtomicBool,
 }
 
 /// The listeners of a participant, and their thread once there is one.
 pub(crate) struct GraphWatcher {
     domain: Arc<Domain>,
-    listeners: Arc<Listeners>,
+    listeners: Arc<GraphListeners>,
     thread: Mutex<Option<JoinHandle<()>>>,
 }
 
 impl GraphWatcher {
     pub(crate) fn new(domain: Arc<Domain>) -> Self {
         GraphWatcher { domain, listeners: Arc::default(), thread: Mutex::default() }
+    }
+
+    pub(crate) fn listeners(&self) -> &Arc<GraphListeners> {
+        &self.listeners
     }
 
     pub(crate) fn subscribe(&self) -> Result<GraphEvents, TransportError> {
@@ -56,10 +64,10 @@ impl GraphWatcher {
             *thread = Some(builder.spawn(run).map_err(TransportError::Thread)?);
         }
         let listener = Arc::new(Listener { waker: AtomicWaker::new(), all: self.listeners.clone() });
-        let mut list = self.listeners.list.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut list = self.listeners.list.lock();
         list.retain(|listener| listener.strong_count() > 0);
         list.push(Arc::downgrade(&listener));
-        Ok(GraphEvents { domain: self.domain.clone(), listener, seen: self.domain.epoch() })
+        Ok(GraphEvents { domain: self.domain.clone(), listener, seen: self.listeners.changes(&self.domain) })
     }
 }
 
@@ -76,7 +84,7 @@ impl Drop for GraphWatcher {
     }
 }
 
-fn watch(domain: &Domain, listeners: &Listeners) {
+fn watch(domain: &Domain, listeners: &GraphListeners) {
     let mut seen = domain.epoch().wrapping_sub(1);
     while !listeners.stop.load(Ordering::Acquire) {
         seen = domain.wait(seen, None);
@@ -84,9 +92,24 @@ fn watch(domain: &Domain, listeners: &Listeners) {
     }
 }
 
-impl Listeners {
+impl GraphListeners {
+    /// Announces that the matches of the participant's endpoints have changed.
+    ///
+    /// # Real-time
+    /// O(listeners), which it wakes. Waits for another thread that does, which inherits this thread's priority.
+    pub(crate) fn advance_matches(&self) {
+        self.matches.fetch_add(1, Ordering::Release);
+        self.wake_all();
+    }
+
+    /// The domain's epoch, and the number of changes of matches.
+    fn changes(&self, domain: &Domain) -> (u32, u32) {
+        // Acquire: pairs with the Release in `advance_matches`; the counts of matches that are read after this show that change.
+        (domain.epoch(), self.matches.load(Ordering::Acquire))
+    }
+
     fn wake_all(&self) {
-        let mut list = self.list.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut list = self.list.lock();
         list.retain(|listener| {
             listener.upgrade().is_some_and(|listener| {
                 listener.waker.wake();
@@ -100,11 +123,11 @@ impl Stream for GraphEvents {
     type Item = ();
 
     fn poll_next(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<()>> {
-        // Registered before the epoch is read: a change after this wakes the task.
+        // Registered before the changes are read: a change after this wakes the task.
         self.listener.waker.register(cx.waker());
-        let epoch = self.domain.epoch();
-        if epoch != self.seen {
-            self.seen = epoch;
+        let changes = self.listener.all.changes(&self.domain);
+        if changes != self.seen {
+            self.seen = changes;
             return Poll::Ready(Some(()));
         }
         match self.listener.all.stop.load(Ordering::Acquire) {

@@ -109,8 +109,8 @@ impl Participant {
         self.state.domain.wait(since, Some(timeout))
     }
 
-    /// Wakes a task when something in the domain appears or disappears. All changes between two polls are one
-    /// event.
+    /// Wakes a task when something in the domain appears or disappears, and when an endpoint of this participant is connected or
+    /// disconnected. All changes between two polls are one event.
     ///
     /// # Real-time
     /// Setup only: the first call starts an ordinary thread of low priority, which sleeps until something changes.

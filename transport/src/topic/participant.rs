@@ -104,7 +104,8 @@ impl Participant {
             Doorbell::new(arena, Box::new(move |window| memory.grow_arena(window)))
         };
         let record = OwnRecord::new(&domain, &memory);
-        let matcher = Arc::new(Matcher::new(&domain, memory.id(), &record));
+        let graph_watcher = GraphWatcher::new(domain.clone());
+        let matcher = Arc::new(Matcher::new(&domain, memory.id(), &record, graph_watcher.listeners()));
         let place = domain.add(memory.id()).inspect_err(|_| memory.retire())?;
         let membership = Membership {
             domain: domain.clone(),
@@ -129,7 +130,7 @@ impl Participant {
         let state = ParticipantState {
             janitor,
             _warden: warden,
-            graph_watcher: GraphWatcher::new(domain.clone()),
+            graph_watcher,
             matcher,
             record,
             doorbell,

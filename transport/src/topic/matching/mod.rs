@@ -20,6 +20,7 @@ mod tests;
 use crate::cleanup::janitor::LookOutcome;
 use crate::error::TransportError;
 use crate::graph::domain::Domain;
+use crate::graph::events::GraphListeners;
 use crate::graph::log::hash_of;
 use crate::graph::own::{NodeEntry, OwnRecord};
 use crate::graph::record::{PortKind, PortRecord};
@@ -43,6 +44,7 @@ const PATIENCE: Duration = Duration::from_millis(100);
 pub(crate) struct Matcher {
     domain: Arc<Domain>,
     record: Arc<OwnRecord>,
+    listeners: Arc<GraphListeners>,
     state: PiMutex<MatcherState>,
 }
 
@@ -87,6 +89,8 @@ struct Work {
     closed: BTreeSet<Gid>,
     /// Own publishers whose memory was given back.
     released: Vec<u64>,
+    /// Own ports match others than before.
+    has_new_matches: bool,
     outcome: LookOutcome,
 }
 
@@ -101,7 +105,12 @@ impl Work {
 }
 
 impl Matcher {
-    pub(crate) fn new(domain: &Arc<Domain>, own: u64, record: &Arc<OwnRecord>) -> Self {
+    pub(crate) fn new(
+        domain: &Arc<Domain>,
+        own: u64,
+        record: &Arc<OwnRecord>,
+        listeners: &Arc<GraphListeners>,
+    ) -> Self {
         let state = MatcherState {
             domain: domain.clone(),
             peers: Peers::default(),
@@ -115,7 +124,8 @@ impl Matcher {
             departing: BTreeMap::new(),
             returning: Vec::new(),
         };
-        Matcher { domain: domain.clone(), record: record.clone(), state: PiMutex::new(state) }
+        let (domain, record, listeners) = (domain.clone(), record.clone(), listeners.clone());
+        Matcher { domain, record, listeners, state: PiMutex::new(state) }
     }
 
     fn state(&self) -> PiGuard<'_, MatcherState> {
@@ -137,6 +147,9 @@ impl Matcher {
             for member in self.domain.members().filter(|member| work.calls.contains(&member.id)) {
                 self.domain.call(member.place);
             }
+        }
+        if work.has_new_matches {
+            self.listeners.advance_matches();
         }
         (result, work.outcome)
     }
@@ -603,11 +616,14 @@ impl MatcherState {
         }
         // Before the publishers: a server learns that a client has gone before it can no longer respond to it.
         for core in work.subscriptions.values() {
-            let (closed, is_closing) = core.settle();
+            let (closed, is_closing, has_new_matches) = core.settle();
             work.closed.extend(closed);
             work.outcome.is_pending |= is_closing;
+            work.has_new_matches |= has_new_matches;
         }
-        publishers.values().for_each(|core| core.settle());
+        for core in publishers.values() {
+            work.has_new_matches |= core.settle();
+        }
         work.outcome.is_pending |= self.index.has_retries();
         let own = self.index.own();
         work.calls.extend(work.closed.iter().map(|gid| gid.participant()));

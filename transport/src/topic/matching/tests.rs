@@ -32,7 +32,7 @@ impl Party {
         let record = OwnRecord::new(&domain, &memory);
         let place = domain.add(memory.id()).unwrap();
         record.publish(place);
-        let matcher = Matcher::new(&domain, memory.id(), &record);
+        let matcher = Matcher::new(&domain, memory.id(), &record, &Arc::default());
         Party { matcher, record, memory, doorbell, domain, place }
     }
 

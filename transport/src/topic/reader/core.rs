@@ -306,8 +306,8 @@ impl SubscriptionCore {
     }
 
     /// Hands over what has changed, rings for it, and notifies monitors. Returns the publishers whose connections were closed,
-    /// and whether others are still to be closed.
-    pub(crate) fn settle(&self) -> (Vec<Gid>, bool) {
+    /// whether others are still to be closed, and whether the endpoints of the topic have changed.
+    pub(crate) fn settle(&self) -> (Vec<Gid>, bool, bool) {
         let mut setup = self.setup();
         self.forget_unseen(&mut setup);
         // `close_done` hands over what is new, too.
@@ -318,7 +318,8 @@ impl SubscriptionCore {
         if is_stale {
             hand_over(&mut setup);
         }
-        if setup.endpoints.notify(&self.matched) {
+        let has_changed = setup.endpoints.notify(&self.matched);
+        if has_changed {
             self.slot.doorbell().arena().ring_events(self.slot.index());
         }
         if was_stale || is_stale {
@@ -326,7 +327,7 @@ impl SubscriptionCore {
             // checks its servers when it is rung.
             self.slot.ring();
         }
-        (closed, is_closing)
+        (closed, is_closing, has_changed)
     }
 
     /// Forgets ended publishers that no take has seen: those that have sent nothing, and all but the newest `UNSEEN`.

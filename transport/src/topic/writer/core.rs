@@ -489,8 +489,8 @@ impl PublisherCore {
         self.setup().endpoints.set_remote(told, ended);
     }
 
-    /// Hands over what has changed, and notifies monitors.
-    pub(crate) fn settle(&self) {
+    /// Hands over what has changed, and notifies monitors. Returns whether the endpoints of the topic have changed.
+    pub(crate) fn settle(&self) -> bool {
         let mut setup = self.setup();
         self.forget_drained(&mut setup);
         self.forget_short_segments(&mut setup);
@@ -498,11 +498,13 @@ impl PublisherCore {
             self.hand_over(&mut setup);
             self.top_up(&mut setup);
         }
-        if setup.endpoints.notify(&self.matched) {
+        let has_changed = setup.endpoints.notify(&self.matched);
+        if has_changed {
             self.slot.doorbell().arena().ring_events(self.slot.index());
             // The publisher's task may wait for room in a queue that has gone.
             self.slot.ring();
         }
+        has_changed
     }
 
     /// Gives late joiners what was published while they were set up, by a thread that had not seen them yet. The publishing thread checks
