@@ -145,6 +145,7 @@ exported! {
         name: *const c_char,
         profile: *const rmw_qos_profile_t => given "the QoS profile",
     ) -> *mut rmw_client_t {
+        node.check_process()?;
         // SAFETY: rmw's contract.
         let (of, name) =
             unsafe { (ServiceSupport::of(support)?, endpoint_name(name, "the service's name", profile)?) };
@@ -173,6 +174,7 @@ exported! {
         request: *const c_void => present "the request",
         number: *mut i64 => place "the sequence number",
     ) {
+        client.node.check_process()?;
         let callbacks = client.of.request.callbacks;
         // SAFETY: rmw's contract: a request of this type.
         let estimate = unsafe { callbacks.estimate(request)? };
@@ -192,6 +194,7 @@ exported! {
         taken: *mut bool => place "taken",
     ) {
         *taken = false;
+        client.node.check_process()?;
         // At the limit of held samples: the threads that are in a take will release some.
         let oldest = client.end.take(|asking| {
             let late = |response: RawSample| {
@@ -232,6 +235,7 @@ exported! {
             behind(node)?;
             (behind(client)?, place(is_available, "the answer")?)
         };
+        client.node.check_process()?;
         *is_available = client.end.with(|asking| asking.raw.server_count()) > 0;
         Ok(())
     }

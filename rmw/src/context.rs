@@ -91,15 +91,18 @@ impl Waiters {
         }
     }
 
-    fn lists(&self) -> MutexGuard<'_, WaiterLists> {
-        self.lists.lock().unwrap_or_else(PoisonError::into_inner)
+    /// `None` in a forked child: a thread of the parent may have held the lock at the fork.
+    fn lists(&self) -> Option<MutexGuard<'_, WaiterLists>> {
+        self.process.is_here().then(|| self.lists.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
     /// Ends all waits, and prevents new ones.
     fn shut_down(&self) {
         self.is_shut_down.store(true, Ordering::Release);
         // A woken thread sees the flag; a thread whose waiter is not in the list yet reads it before it sleeps.
-        self.lists().used.iter().for_each(|waiter| Wakeable::wake(&**waiter));
+        if let Some(lists) = self.lists() {
+            lists.used.iter().for_each(|waiter| Wakeable::wake(&**waiter));
+        }
     }
 
     /// Whether the context was shut down.
@@ -112,11 +115,11 @@ impl Waiters {
 
     /// A waiter for one wait set, until it is [given back](Self::give_back).
     pub(crate) fn claim(&self, participant: &Participant) -> Arc<Waiter> {
-        let WaiterLists { used, free } = &mut *self.lists();
+        // No wait succeeds in a forked child.
+        let Some(mut lists) = self.lists() else { return Arc::new(Waiter::Word(FutexWord::new(0))) };
+        let WaiterLists { used, free } = &mut *lists;
         let waiter = match free.iter().rposition(|waiter| matches!(**waiter, Waiter::Bell(_))) {
             Some(at) => free.swap_remove(at),
-            // A forked child has no bells, and no wait succeeds in it.
-            None if !self.process.is_here() => Arc::new(Waiter::Word(FutexWord::new(0))),
             None => match participant.doorbell().claim_thread_bell() {
                 Ok(bell) => Arc::new(Waiter::Bell(bell)),
                 // Slower without a bell, but nothing is missed.
@@ -128,7 +131,8 @@ impl Waiters {
     }
 
     pub(crate) fn give_back(&self, waiter: Arc<Waiter>) {
-        let WaiterLists { used, free } = &mut *self.lists();
+        let Some(mut lists) = self.lists() else { return };
+        let WaiterLists { used, free } = &mut *lists;
         used.retain(|one| !Arc::ptr_eq(one, &waiter));
         free.push(waiter);
     }

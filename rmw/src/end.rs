@@ -206,6 +206,7 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
             }
             return Ok(());
         };
+        context.waiters.check_process()?;
         let waker = context.serve(self.listener(), self.thread().map(|plan| plan.priority))?;
         self.side.lock().1.notifier = Some(waker);
         self.callback.replace(Some((function, data)));

@@ -3,6 +3,7 @@
 
 use crate::bindings::*;
 use crate::callback::{Call, EventCallback, Function};
+use crate::context::{Context, Waiters};
 use crate::distro::{self, *};
 use crate::error::{Error, Result};
 use crate::handle::{IDENTIFIER, check_identifier, check_zero, exported, given, present};
@@ -64,6 +65,7 @@ struct Counts {
 
 /// The target of an `rmw_event_t`; its endpoint keeps it alive.
 pub(crate) struct EventTarget {
+    waiters: Arc<Waiters>,
     happened: Arc<Happened>,
     kind: usize,
 }
@@ -248,8 +250,10 @@ pub(crate) fn signal_of(event: &rmw_event_t) -> Option<&Signal> {
 pub(crate) struct Sources(Vec<EventTarget>);
 
 impl Sources {
-    pub(crate) fn new(happened: &Arc<Happened>) -> Self {
-        Sources((0..KINDS).map(|kind| EventTarget { happened: happened.clone(), kind }).collect())
+    pub(crate) fn new(happened: &Arc<Happened>, context: &Context) -> Self {
+        let target =
+            |kind| EventTarget { waiters: context.waiters.clone(), happened: happened.clone(), kind };
+        Sources((0..KINDS).map(target).collect())
     }
 }
 
@@ -367,7 +371,9 @@ exported! {
         *taken = false;
         let info = present(info, "the event's information")?;
         // SAFETY: rmw's contract.
-        let (kind, slot) = unsafe { target_of(event)? }.slot()?;
+        let target = unsafe { target_of(event)? };
+        target.waiters.check_process()?;
+        let (kind, slot) = target.slot()?;
         let mut state = slot.state.lock();
         slot.signal.take();
         let counts = state.counts;
@@ -382,7 +388,13 @@ exported! {
 
     fn rmw_event_set_callback(event: *mut rmw_event_t, callback: rmw_event_callback_t, data: *const c_void) {
         // SAFETY: rmw's contract.
-        let (_, slot) = unsafe { target_of(event)? }.slot()?;
+        let target = unsafe { target_of(event)? };
+        match target.waiters.check_process() {
+            // In a forked child nothing calls it.
+            Err(_) if callback.is_none() => return Ok(()),
+            checked => checked?,
+        }
+        let (_, slot) = target.slot()?;
         slot.set_callback(callback.map(|function| (function, data)));
         Ok(())
     }

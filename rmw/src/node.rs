@@ -51,6 +51,12 @@ impl Node {
         unsafe { &*self.context }
     }
 
+    /// An error in a forked child. Checked before any lock of the node's endpoints is taken, which a thread of the parent may have held
+    /// at the fork.
+    pub(crate) fn check_process(&self) -> Result {
+        self.context().waiters.check_process()
+    }
+
     fn endpoints(&self) -> MutexGuard<'_, Vec<OwnedEndpoint>> {
         self.endpoints.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -68,13 +74,14 @@ impl Node {
         // SAFETY: the caller's contract; what the node owns is ours, and in its list once.
         unsafe {
             behind(handle)?;
-            let owned = {
-                let mut endpoints = self.endpoints();
-                let at = endpoints.iter().position(|owned| owned.handle == handle.cast());
-                let at = at.ok_or_else(|| Error::invalid(format!("{} belongs to another node", H::WHAT)))?;
-                endpoints.swap_remove(at)
-            };
             if self.context().is_of_this_process() {
+                let owned = {
+                    let mut endpoints = self.endpoints();
+                    let at = endpoints.iter().position(|owned| owned.handle == handle.cast());
+                    let at =
+                        at.ok_or_else(|| Error::invalid(format!("{} belongs to another node", H::WHAT)))?;
+                    endpoints.swap_remove(at)
+                };
                 (owned.end)(owned.handle);
             }
             H::free(handle);

@@ -69,14 +69,10 @@ impl Drop for Publisher {
 
 impl Publisher {
     pub(crate) fn listen(&self) -> Result {
+        self.node.check_process()?;
         let helper = &self.node.context().helper;
         let events = || Ok(PublisherEvents::new(helper.events(), &self.side.lock().raw)?);
         self.happened.listen(helper, events)
-    }
-
-    /// Before the lock is taken, which a thread of the parent may have held at a fork.
-    fn check_process(&self) -> Result {
-        self.node.context().waiters.check_process()
     }
 
     /// Publishes a message of at most `len_bytes`, whose length `write` returns.
@@ -87,7 +83,7 @@ impl Publisher {
     /// which inherits this thread's priority. A keep-all publisher waits up to 100 ms for room; others may publish meanwhile. Then as
     /// [`Listeners::notify`].
     fn publish(&self, len_bytes: usize, write: impl FnOnce(&mut [u8]) -> Result<usize>) -> Result {
-        self.check_process()?;
+        self.node.check_process()?;
         let side = self.side.lock();
         let mut loan = side.raw.loan(len_bytes)?;
         let written = write(&mut loan)?;
@@ -136,7 +132,7 @@ impl Publisher {
         let Length::Plain(len_bytes) = self.message_type.length else {
             return Err(Error::unsupported("this type cannot be loaned: its layout differs from CDR"));
         };
-        self.check_process()?;
+        self.node.check_process()?;
         let mut side = self.side.lock();
         // The memory holds zeros or an earlier message of this publisher, so a valid message of this type: clearing it would take
         // as long as a copy.
@@ -192,6 +188,7 @@ exported! {
         publisher: *const rmw_publisher_t => behind,
         message: *mut c_void => present "the message",
     ) {
+        publisher.node.check_process()?;
         publisher.side.lock().take_back(message).map(drop)
     }
 
@@ -200,7 +197,7 @@ exported! {
         message: *mut c_void => present "the message",
         _allocation: *mut rmw_publisher_allocation_t,
     ) {
-        publisher.check_process()?;
+        publisher.node.check_process()?;
         let mut side = publisher.side.lock();
         let mut loan = side.take_back(message)?;
         publisher.message_type.tidy(&mut loan);
@@ -224,7 +221,7 @@ exported! {
         let raw = node.participant.create_raw_publisher(name, of, wanted, limits)?;
         let happened = Arc::<Happened>::default();
         let publisher = Publisher {
-            events: Sources::new(&happened),
+            events: Sources::new(&happened, node.context()),
             happened,
             node: node.into(),
             message_type,
@@ -296,6 +293,7 @@ exported! {
     }
 
     fn rmw_publisher_assert_liveliness(publisher: *const rmw_publisher_t => behind) {
+        publisher.node.check_process()?;
         publisher.side.lock().raw.assert_liveliness();
         Ok(())
     }

@@ -156,6 +156,7 @@ exported! {
         taken: *mut bool => place "taken",
     ) {
         *taken = false;
+        service.node.check_process()?;
         // At the limit of held samples: the threads that are in a take will release some.
         let oldest = service.end.take(|raw| {
             let late = |request: RawSample| service.refuse(raw, &request, "newer ones fill its depth");
@@ -179,6 +180,7 @@ exported! {
         header: *mut rmw_request_id_t => place "the header",
         response: *mut c_void => present "the response",
     ) {
+        service.node.check_process()?;
         let sequence_number = u64::try_from(header.sequence_number)
             .map_err(|_| Error::invalid("the request's sequence number is negative"))?;
         let id = RequestId { client: Gid(header.writer_guid.map(|byte| byte as _)), sequence_number };

@@ -63,6 +63,7 @@ impl Subscription {
     }
 
     pub(crate) fn listen(&self) -> Result {
+        self.node.check_process()?;
         let helper = &self.node.context().helper;
         let events = || Ok(self.end.with(|raw| SubscriptionEvents::new(helper.events(), raw))?);
         self.happened.listen(helper, events)
@@ -70,6 +71,7 @@ impl Subscription {
 
     /// Takes the next sample, and its message with `read`. Invalid messages are skipped and logged.
     fn take(&self, mut read: impl FnMut(RawSample) -> Result) -> Result<Option<rmw_message_info_t>> {
+        self.node.check_process()?;
         for _ in 0..PASSED_OVER {
             let taken = self.end.take(RawSubscription::try_take);
             let sample = match taken {
@@ -219,6 +221,7 @@ exported! {
         subscription: *const rmw_subscription_t => behind,
         message: *mut c_void => present "the message",
     ) {
+        subscription.node.check_process()?;
         let mut loans = subscription.loans.lock();
         let at = loans.iter().position(|sample| sample.body().as_ptr().cast() == message.cast_const());
         let at = at.ok_or_else(|| Error::other("the message is not on loan from this subscription"))?;
@@ -250,7 +253,7 @@ exported! {
         let (happened, matched, can_loan_messages) =
             (Arc::<Happened>::default(), raw.matched(), message_type.is_plain());
         let subscription = Subscription {
-            events: Sources::new(&happened),
+            events: Sources::new(&happened, node.context()),
             happened,
             node: node.into(),
             message_type,

@@ -7,6 +7,7 @@ use crate::{
     client, context, distro, event, graph, guard, node, options, publisher, serialization, service,
     subscription, types, wait,
 };
+use rustix::process::{Pid, Signal, WaitOptions, kill_process, waitpid};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::ffi::{CStr, c_char, c_void};
@@ -790,6 +791,54 @@ fn a_shutdown_ends_waits() {
         assert_eq!(guard::rmw_destroy_guard_condition(guard as *mut rmw_guard_condition_t), RET_OK);
         assert_eq!(context::rmw_context_fini(context), RET_OK);
         drop(Box::from_raw(context));
+    }
+}
+
+/// What a thread of the parent has locked at a fork stays locked in the child, which is told that nothing here is its own.
+#[test]
+fn a_forked_child_waits_for_no_lock_of_its_parent() {
+    unsafe extern "C" {
+        fn fork() -> i32;
+        fn _exit(status: i32) -> !;
+    }
+    let world = World::new(197);
+    let (of, mut byte, mut number) = (service_support("std_srvs", "Empty"), 0u8, 0);
+    let message: *mut c_void = (&raw mut byte).cast();
+    let (locked, unlocked) = (Barrier::new(2), Barrier::new(2));
+    // SAFETY: rmw's protocol; the child ends itself, and neither it nor anyone else uses its copy of what it destroys.
+    unsafe {
+        let client = client::rmw_create_client(world.node, of, c"/service".as_ptr(), &profile(1));
+        let end = crate::handle::behind(client).unwrap().end();
+        let status = std::thread::scope(|scope| {
+            scope.spawn(|| {
+                end.with(|_| {
+                    locked.wait();
+                    unlocked.wait();
+                });
+            });
+            locked.wait();
+            let child = fork();
+            if child == 0 {
+                let sent = client::rmw_send_request(client, message, &mut number);
+                let destroyed = client::rmw_destroy_client(world.node, client);
+                _exit(i32::from((sent, destroyed) != (RET_ERROR, RET_OK)));
+            }
+            let child = Pid::from_raw(child).expect("fork");
+            let patience = std::time::Instant::now() + std::time::Duration::from_secs(30);
+            let status = loop {
+                if let Some((_, status)) = waitpid(Some(child), WaitOptions::NOHANG).unwrap() {
+                    break status;
+                }
+                if std::time::Instant::now() > patience {
+                    kill_process(child, Signal::KILL).unwrap();
+                }
+                std::thread::yield_now();
+            };
+            unlocked.wait();
+            status
+        });
+        assert_eq!(status.exit_status(), Some(0));
+        assert_eq!(client::rmw_destroy_client(world.node, client), RET_OK);
     }
 }
 

@@ -13,6 +13,7 @@ import time
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import String
+from std_srvs.srv import SetBool
 
 
 def matched(publisher):
@@ -56,7 +57,10 @@ def refused(use):
 def use_and_exit(context, node):
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
+    client = node.create_client(SetBool, "/unserved")
     uses = [
+        node.answers.assert_liveliness,
+        client.service_is_ready,
         lambda: node.answers.publish(String(data="x")),
         lambda: node.create_publisher(String, "/other", 10),
         lambda: rclpy.create_node("other", context=context, use_global_arguments=False),
