@@ -108,8 +108,10 @@ impl System {
         let of_ros = |callback: &&CheckedCallback| callback.entry.client != Client::Tautline;
         let callbacks: Vec<_> =
             file.iter().flat_map(|file| file.callbacks().filter(of_ros)).cloned().collect();
-        let is_governed = file.is_some() && realtime_of_environment()? == Realtime::Required;
-        let admission = if is_governed { admission_of_environment(true)? } else { Admission::Off };
+        // Read also without a file: an unusable value is an error.
+        let (realtime, admission) = (realtime_of_environment()?, admission_of_environment(true)?);
+        let is_governed = file.is_some() && realtime == Realtime::Required;
+        let admission = if is_governed { admission } else { Admission::Off };
         let (_gate, admitted) = match &file {
             Some(file) if admission != Admission::Off => {
                 let (gate, admitted) = admit_system(domain, admission, file)?;
@@ -118,7 +120,9 @@ impl System {
             _ => (None, Admitted::Unchecked),
         };
         let highest = callbacks.iter().map(|callback| callback.entry.priority).max().unwrap_or(1);
-        let realtime = tautline_rt::permission::realtime_permitted(highest).is_ok();
+        // Without a file the program sets its priorities itself, if it may.
+        let realtime =
+            (file.is_none() || is_governed) && tautline_rt::permission::realtime_permitted(highest).is_ok();
         let mut about = ProcessInfo { realtime, admitted, ..ProcessInfo::of_this() };
         if let Some(file) = &file {
             file.describe(&mut about);

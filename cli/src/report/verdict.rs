@@ -416,7 +416,7 @@ fn notes(file: &SystemFile, checked: &CheckedSystem, run: &Run, rows: &[Row], ho
     let off: Vec<_> = run.processes.iter().filter(|process| !process.realtime).map(Process::label).collect();
     if !off.is_empty() {
         notes.push(format!(
-            "{} runs without real-time priorities: no bound applies to it; start it with the right to them",
+            "{} runs without real-time priorities: no bound applies to it; start it with the right to them, and without TAUT_REALTIME=off",
             list(off)
         ));
     }
