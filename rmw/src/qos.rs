@@ -183,7 +183,7 @@ pub(crate) fn policy_to_ros(policy: QosPolicyKind) -> rmw_qos_policy_kind_t {
     }
 }
 
-/// Open values of each policy.
+/// Open values of each policy: the system default, unknown, and best available.
 const OPEN_RELIABILITY: [u32; 3] = [
     RMW_QOS_POLICY_RELIABILITY_SYSTEM_DEFAULT,
     RMW_QOS_POLICY_RELIABILITY_UNKNOWN,
@@ -200,11 +200,17 @@ const OPEN_LIVELINESS: [u32; 3] = [
     RMW_QOS_POLICY_LIVELINESS_BEST_AVAILABLE,
 ];
 
-/// Whether a policy is open, so that compatibility is unknown.
-fn is_open(profile: &rmw_qos_profile_t) -> bool {
-    OPEN_RELIABILITY.contains(&profile.reliability)
-        || OPEN_DURABILITY.contains(&profile.durability)
-        || OPEN_LIVELINESS.contains(&profile.liveliness)
+/// The policies that are a system default or unknown in one of the profiles, so that their compatibility is unknown.
+fn undetermined(profiles: [&rmw_qos_profile_t; 2]) -> impl Iterator<Item = QosPolicyKind> {
+    type Value = fn(&rmw_qos_profile_t) -> u32;
+    let policies: [(QosPolicyKind, [u32; 3], Value); 3] = [
+        (QosPolicyKind::Reliability, OPEN_RELIABILITY, |profile| profile.reliability),
+        (QosPolicyKind::Durability, OPEN_DURABILITY, |profile| profile.durability),
+        (QosPolicyKind::Liveliness, OPEN_LIVELINESS, |profile| profile.liveliness),
+    ];
+    policies.into_iter().filter_map(move |(policy, [system_default, unknown, _], value)| {
+        profiles.iter().any(|profile| [system_default, unknown].contains(&value(profile))).then_some(policy)
+    })
 }
 
 /// The profile, with open policies set to compatible values.
@@ -252,17 +258,17 @@ exported! {
         let none = std::iter::empty();
         let offered = from_ros(&settled(&publisher, &subscription), EndpointRole::Publisher, none.clone())?;
         let requested = from_ros(&settled(&subscription, &publisher), EndpointRole::Subscription, none)?;
-        let text;
-        (*compatibility, text) = match offered.incompatibility(&requested) {
-            Some(policy) => {
-                (RMW_QOS_COMPATIBILITY_ERROR, format!("ERROR: the offered {policy} does not meet the requested one;"))
-            }
-            None if is_open(&publisher) || is_open(&subscription) => {
-                let text = "WARNING: a policy is a system default, and may be incompatible;";
-                (RMW_QOS_COMPATIBILITY_WARNING, text.to_owned())
-            }
-            None => (RMW_QOS_COMPATIBILITY_OK, String::new()),
+        let errors = offered.incompatibilities(&requested);
+        let errors = errors.map(|policy| format!("ERROR: the offered {policy} does not meet the requested one;"));
+        let warnings = undetermined([&publisher, &subscription]);
+        let warnings = warnings.map(|policy| format!("WARNING: {policy} is a system default or unknown, and may be incompatible;"));
+        let (errors, warnings) = (errors.collect::<Vec<_>>(), warnings.collect::<Vec<_>>());
+        *compatibility = match (errors.is_empty(), warnings.is_empty()) {
+            (false, _) => RMW_QOS_COMPATIBILITY_ERROR,
+            (true, false) => RMW_QOS_COMPATIBILITY_WARNING,
+            (true, true) => RMW_QOS_COMPATIBILITY_OK,
         };
+        let text = [errors, warnings].concat().join(" ");
         if reason_size > 0 {
             let length = text.len().min(reason_size - 1);
             // SAFETY: rmw's contract: of this size.

@@ -4,7 +4,7 @@
 use crate::bindings::*;
 use crate::error::answer;
 use crate::{
-    client, context, distro, event, graph, guard, node, options, publisher, serialization, service,
+    client, context, distro, event, graph, guard, node, options, publisher, qos, serialization, service,
     subscription, types, wait,
 };
 use rustix::process::{Pid, Signal, WaitOptions, kill_process, waitpid};
@@ -840,6 +840,38 @@ fn a_forked_child_waits_for_no_lock_of_its_parent() {
         assert_eq!(status.exit_status(), Some(0));
         assert_eq!(client::rmw_destroy_client(world.node, client), RET_OK);
     }
+}
+
+/// All of it: errors before warnings, each with its policy.
+#[test]
+fn what_is_incompatible_is_explained() {
+    let explained = |offered: rmw_qos_profile_t, requested: rmw_qos_profile_t| {
+        let (mut compatibility, mut reason) = (RMW_QOS_COMPATIBILITY_OK, [c_char::default(); 2048]);
+        let (room, text) = (reason.len(), reason.as_mut_ptr());
+        // SAFETY: rmw's protocol; the text ends with a zero.
+        unsafe {
+            let check = qos::rmw_qos_profile_check_compatible;
+            assert_eq!(check(offered, requested, &mut compatibility, text, room), RET_OK, "{}", said());
+            (compatibility, CStr::from_ptr(text).to_string_lossy().into_owned())
+        }
+    };
+    let of = |reliability, durability| rmw_qos_profile_t { reliability, durability, ..profile(1) };
+    let (best_effort, volatile) =
+        (RMW_QOS_POLICY_RELIABILITY_BEST_EFFORT, RMW_QOS_POLICY_DURABILITY_VOLATILE);
+    let latched = of(RMW_QOS_POLICY_RELIABILITY_RELIABLE, RMW_QOS_POLICY_DURABILITY_TRANSIENT_LOCAL);
+    let refused = |policy: &str| format!("ERROR: the offered {policy} does not meet the requested one;");
+    let open =
+        |policy: &str| format!("WARNING: {policy} is a system default or unknown, and may be incompatible;");
+    let (error, warning) = (RMW_QOS_COMPATIBILITY_ERROR, RMW_QOS_COMPATIBILITY_WARNING);
+    let all = [refused("reliability"), refused("durability")].join(" ");
+    assert_eq!(explained(of(best_effort, volatile), latched), (error, all));
+    let (default, unknown) = (RMW_QOS_POLICY_RELIABILITY_SYSTEM_DEFAULT, RMW_QOS_POLICY_DURABILITY_UNKNOWN);
+    let both = [refused("reliability"), open("durability")].join(" ");
+    assert_eq!(explained(of(best_effort, unknown), latched), (error, both));
+    let both = [open("reliability"), open("durability")].join(" ");
+    assert_eq!(explained(latched, of(default, unknown)), (warning, both));
+    let best = of(RMW_QOS_POLICY_RELIABILITY_BEST_AVAILABLE, RMW_QOS_POLICY_DURABILITY_BEST_AVAILABLE);
+    assert_eq!(explained(best, latched), (RMW_QOS_COMPATIBILITY_OK, String::new()));
 }
 
 /// As rmw_dds_common: a publisher offers what all subscriptions request, a subscription requests the least that publishers offer.

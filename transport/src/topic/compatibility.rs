@@ -35,6 +35,11 @@ impl Qos {
     /// assert_eq!(best_effort.incompatibility(&reliable), Some(QosPolicyKind::Reliability));
     /// ```
     pub fn incompatibility(&self, requested: &Qos) -> Option<QosPolicyKind> {
+        self.incompatibilities(requested).next()
+    }
+
+    /// All policies of which [`incompatibility`](Self::incompatibility) returns the first.
+    pub fn incompatibilities(&self, requested: &Qos) -> impl Iterator<Item = QosPolicyKind> + use<> {
         let longer = |offered: Option<Duration>, requested: Option<Duration>| {
             requested.is_some_and(|requested| offered.is_none_or(|offered| offered > requested))
         };
@@ -57,7 +62,7 @@ impl Qos {
                 longer(self.liveliness_lease_duration, requested.liveliness_lease_duration),
             ),
         ];
-        refused.into_iter().find_map(|(policy, refused)| refused.then_some(policy))
+        refused.into_iter().filter_map(|(policy, refused)| refused.then_some(policy))
     }
 }
 
@@ -99,5 +104,7 @@ mod tests {
         ] {
             assert_eq!(offered.incompatibility(&requested), expected, "{offered:?} for {requested:?}");
         }
+        let all = plain.best_effort().incompatibilities(&manual.transient_local());
+        assert!(all.eq([Policy::Reliability, Policy::Durability, Policy::Liveliness]));
     }
 }
