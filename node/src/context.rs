@@ -236,7 +236,8 @@ impl ContextBuilder {
     /// # Errors
     /// [`Error::Argument`], [`Error::Remap`] and [`Error::Parameter`] for an invalid command line; [`SystemError::Environment`] for an invalid
     /// variable; [`Error::System`] and [`SystemError::Host`] for a system file that cannot be used; [`SystemError::NotAdmitted`] for a file whose load
-    /// does not fit beside the running load; [`Error::Transport`] and [`SystemError::Statistics`] if shared memory is not available.
+    /// does not fit beside the running load; [`Error::Transport`], [`SystemError::Unreadable`] and [`SystemError::Statistics`] if shared memory is
+    /// not available.
     pub fn build(mut self) -> Result<Context> {
         let arguments = Arguments::parse(std::mem::take(&mut self.args))?;
         self.remap = arguments.remap.clone().then(&self.remap);

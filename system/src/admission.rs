@@ -62,7 +62,7 @@ impl Running {
     /// real-time thread.
     ///
     /// # Errors
-    /// [`SystemError::Statistics`] if the statistics cannot be read.
+    /// [`SystemError::Unreadable`].
     pub fn of_domain(domain: u32) -> Result<Running> {
         Running::beside(domain, None)
     }
@@ -201,15 +201,16 @@ impl Gate {
     /// Locks the folder of a domain that this process has joined.
     ///
     /// # Errors
-    /// [`SystemError::AdmissionBusy`], [`SystemError::Statistics`].
+    /// [`SystemError::AdmissionBusy`], [`SystemError::Unreadable`].
     pub fn enter(domain: u32, mode: Admission) -> Result<Gate> {
         let path = shared_path(domain);
-        let folder = File::open(&path).map_err(SystemError::Statistics)?;
+        let unreadable = |source| SystemError::Unreadable { domain, source };
+        let folder = File::open(&path).map_err(unreadable)?;
         let mut patience = Patience::new(PATIENCE);
         loop {
             match folder.try_lock() {
                 Ok(()) => break,
-                Err(TryLockError::Error(error)) => return Err(SystemError::Statistics(error)),
+                Err(TryLockError::Error(error)) => return Err(unreadable(error)),
                 Err(TryLockError::WouldBlock) if !patience.is_over() => {
                     std::thread::sleep(Duration::from_millis(1));
                 }
@@ -359,4 +360,17 @@ fn late(broken: &[Broken]) -> String {
         text.push_str(&format!("; and {} more", broken.len() - NAMED));
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_domain_that_cannot_be_read_is_named_with_what_helps() {
+        tautline_rt::domain::test_scope("test");
+        let said = Gate::enter(9, Admission::Check).unwrap_err().to_string();
+        assert!(said.starts_with("what runs in domain 9 cannot be read: "), "{said}");
+        assert!(said.contains("TAUT_ADMISSION=off"), "{said}");
+    }
 }

@@ -84,6 +84,17 @@ pub enum SystemError {
         /// How long this process has waited.
         waited: Duration,
     },
+    /// What runs in the domain cannot be read, nor can new load be checked beside it.
+    #[error(
+        "what runs in domain {domain} cannot be read: {source}; mend that (`ulimit -n`, /dev/shm); a node starts without it with \
+         TAUT_ADMISSION=off"
+    )]
+    Unreadable {
+        /// The domain.
+        domain: u32,
+        /// Why.
+        source: std::io::Error,
+    },
     /// The statistics could not be shared with other processes.
     #[error(
         "the callbacks' statistics cannot be shared: {0}; `ContextBuilder::share_statistics(false)` does without"

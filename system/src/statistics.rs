@@ -18,9 +18,10 @@ use tautline_executor::{ForeignStatistics, StatisticsFile};
 /// ```
 ///
 /// # Errors
-/// [`SystemError::Statistics`] if /dev/shm cannot be read.
+/// [`SystemError::Unreadable`] if /dev/shm cannot be read.
 pub fn shared_statistics(domain: u32) -> Result<(Vec<ForeignStatistics>, usize)> {
-    let found = ForeignStatistics::list(&StatisticsFile::prefix(domain)).map_err(SystemError::Statistics)?;
+    let found = ForeignStatistics::list(&StatisticsFile::prefix(domain))
+        .map_err(|source| SystemError::Unreadable { domain, source })?;
     let before = found.len();
     let running: Vec<_> = found.into_iter().filter(|process| !process.remove_if_orphaned()).collect();
     let killed = before - running.len();
