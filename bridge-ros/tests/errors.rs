@@ -229,6 +229,31 @@ fn it_bridges_on_when_nobody_reads_what_it_says() {
 }
 
 #[test]
+fn it_bridges_on_when_its_numbers_cannot_be_written() {
+    if ros().is_none() {
+        return;
+    }
+    const FULL: &str = "No space left on device";
+    let full = fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+    let mut command = Command::new(BRIDGE);
+    command.args(["--domain", "47", "--ros-domain", "47", "--no-rt", "--json", "--interval", "0.1"]);
+    reserve(47);
+    command.env("TAUT_SCOPE", scope()).env_remove("RUST_LOG").stdout(full).stderr(Stdio::piped());
+    let mut bridge = command.spawn().unwrap();
+    let mut times_said = 0;
+    let lines = BufReader::new(bridge.stderr.take().unwrap()).lines().map_while(Result::ok);
+    let mut lines = lines.inspect(|line| times_said += usize::from(line.contains(FULL)));
+    assert!(lines.any(|line| line.contains(FULL)));
+    let participant = Participant::new(47).unwrap();
+    let _publisher = publisher(&participant, "/x", "no_such_msgs/msg/Thing", Qos::default());
+    assert!(lines.any(|line| line.contains("'/x' is not mirrored")), "it has ended");
+    kill_process(Pid::from_child(&bridge), Signal::TERM).unwrap();
+    lines.for_each(drop);
+    assert!(bridge.wait().unwrap().success());
+    assert_eq!(times_said, 1);
+}
+
+#[test]
 fn help_has_examples() {
     let said = Command::new(env!("CARGO_BIN_EXE_taut-bridge-ros")).arg("--help").output().unwrap();
     let help = String::from_utf8(said.stdout).unwrap();

@@ -38,7 +38,7 @@ pub struct SignalError(#[from] io::Error);
 const ONE_STOP: Duration = Duration::from_millis(200);
 
 /// Reads `stats` at every `interval` until `stop`, and shows them: as a status line from `line` on a terminal, or as lines of JSON.
-/// Also returns when the reader of the output has exited.
+/// Also returns when the reader of the output has exited. Another error of the output, such as a full disk, is said, and printing goes on.
 pub fn show_until<S: Serialize>(
     stop: &AtomicBool,
     interval: Duration,
@@ -48,14 +48,21 @@ pub fn show_until<S: Serialize>(
 ) {
     let bar = Bar::new(is_json);
     let mut next = Instant::now() + interval;
+    let mut is_cut_off = false;
     while !stop.load(Ordering::Relaxed) {
         let patience = next.saturating_duration_since(Instant::now()).min(Duration::from_millis(50));
         std::thread::sleep(patience);
         if Instant::now() >= next {
             next += interval;
             if is_json {
-                if print(&stats()).is_err() {
-                    return;
+                match print(&stats(), is_cut_off) {
+                    Ok(()) => is_cut_off = false,
+                    Err(error) if error.kind() == io::ErrorKind::BrokenPipe => return,
+                    Err(error) => {
+                        if !std::mem::replace(&mut is_cut_off, true) {
+                            say(format_args!("the statistics cannot be printed, retrying: {error}"));
+                        }
+                    }
                 }
             } else {
                 // Names and reasons may come from other hosts.
@@ -76,10 +83,13 @@ pub fn say(text: fmt::Arguments<'_>) {
     let _ = writeln!(stderr(), "{text}");
 }
 
-fn print(stats: &impl Serialize) -> io::Result<()> {
+/// Prints a line. If the last one `is_cut_off`, this one starts after it.
+fn print(stats: &impl Serialize, is_cut_off: bool) -> io::Result<()> {
     let text = serde_json::to_string(stats).map_err(io::Error::other)?;
+    let start = if is_cut_off { "\n" } else { "" };
     let mut out = Escaped::new(io::stdout().lock());
-    writeln!(out, "{text}")?;
+    // In one piece: standard output would keep the start of a line that cannot be written, and repeat it.
+    out.write_all(format!("{start}{text}\n").as_bytes())?;
     out.flush()
 }
 

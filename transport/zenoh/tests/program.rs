@@ -4,10 +4,12 @@
 mod support;
 
 use rustix::process::{Pid, Signal, kill_process};
+use std::fs::OpenOptions;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use support::wait;
+use tautline_gateway::Instance;
 
 /// Whoever runs the tests may have set them.
 const VARIABLES: [&str; 4] =
@@ -44,6 +46,21 @@ fn a_client_without_its_router_says_so_and_ends_when_asked() {
     assert_eq!(wait("its end", || running.0.try_wait().unwrap()).code(), Some(0));
     let lock = format!("/dev/shm/{}/gateway", tautline_rt::domain::shared_folder(DOMAIN));
     assert!(!Path::new(&lock).exists(), "it leaves nothing");
+}
+
+#[test]
+fn it_goes_on_when_its_numbers_cannot_be_written() {
+    const DOMAIN: u32 = 140;
+    const FULL: &str = "No space left on device";
+    let full = OpenOptions::new().write(true).open("/dev/full").unwrap();
+    let mut command = gateway(DOMAIN, &["--connect", "tcp/127.0.0.1:1", "--json", "--interval", "0.1"]);
+    let mut running = Running(command.stdout(full).spawn().unwrap());
+    let mut lines = BufReader::new(running.0.stderr.take().unwrap()).lines().map_while(Result::ok);
+    assert!(lines.any(|line| line.contains(FULL)));
+    assert!(Instance::gateway(DOMAIN).lock().is_err(), "it has ended");
+    kill_process(Pid::from_child(&running.0), Signal::TERM).unwrap();
+    assert!(!lines.any(|line| line.contains(FULL)), "it is said once");
+    assert_eq!(wait("its end", || running.0.try_wait().unwrap()).code(), Some(0));
 }
 
 #[test]
