@@ -16,9 +16,11 @@ use crate::stats::{BridgeState, Stats};
 use crate::table::{self, OwnTable, Tables};
 use crate::threads;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, Mutex, mpsc};
+use std::sync::{Arc, mpsc};
 use std::time::Duration;
-use tautline_relay::{Event, Guard, Instance, InstanceLock, MirrorControl, Parts, Services, watch_domain};
+use tautline_relay::{
+    Event, Guard, Instance, InstanceLock, Latest, MirrorControl, Parts, Services, watch_domain,
+};
 use tautline_rt::{JoinHandle, Realtime, ThreadInfo};
 use tautline_transport::{Participant, RemoteGraph};
 
@@ -72,7 +74,7 @@ impl Bridge {
         let outgoing = Outgoing::start(&participant, priorities.thread("ros-out"), Ros::new()?)?;
         let stats = Stats { domain: options.domain, ros_domain: context.domain(), rmw, ..Stats::default() };
         let state =
-            BridgeState { stats: Mutex::new(stats), stop: Default::default(), returned: Default::default() };
+            BridgeState { stats: Latest::new(stats), stop: Default::default(), returned: Default::default() };
         let state = Arc::new(state);
         let incoming = Incoming::start(&context, state.clone(), priorities.thread("ros-in"))?;
         let services = RosServices::new(&node)?;
@@ -143,7 +145,7 @@ impl Bridge {
     pub fn stats(&self) -> Stats {
         let throttled = self.guard.as_ref().map_or(0, Guard::demotions);
         let returned = self.state.returned.load(Ordering::Relaxed);
-        Stats { throttled, returned, ..self.state.stats().clone() }
+        Stats { throttled, returned, ..(*self.state.stats.get()).clone() }
     }
 
     /// The bridge's own threads, with the policies read back at start.

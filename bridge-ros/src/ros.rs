@@ -8,7 +8,7 @@ use crate::rcl::{Node, RosPublisher, RosSubscription};
 use crate::ros_graph::{self, RosGraph};
 use crate::services::{Nodes, RosServices};
 use crate::shown::ShownNodes;
-use crate::stats::{BridgeState, IncompatibleQos, ServiceNames, TopicNames};
+use crate::stats::{BridgeState, IncompatibleQos, ServiceNames, Stats, TopicNames};
 use crate::table::{OriginTable, OwnTable, Tables};
 use crate::types::Types;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -281,18 +281,24 @@ impl FarSide for RosSide {
     }
 
     fn report(&mut self, report: Report, writers: &Writers<ProxyPublisher>) {
-        let mut stats = self.state.stats();
-        stats.uptime_s = report.uptime_s;
-        stats.ros_nodes = self.graph.nodes.len();
-        stats.ros_endpoints = self.endpoint_count;
-        stats.not_bridged = report.problems;
-        stats.services_not_bridged = report.service_problems;
-        let named = report.services.into_iter().map(|service| service.named(ServiceNames::of, Into::into));
-        stats.services = named.collect();
+        let before = self.state.stats.get();
+        let services = report.services.into_iter().map(|service| service.named(ServiceNames::of, Into::into));
         let incompatible = writers.iter().filter_map(|(key, _, end)| Some((&*key.topic, end.incompatible?)));
-        stats.incompatible_qos = by_topic(incompatible);
-        let named = report.topics.into_iter().map(|topic| topic.named(TopicNames::of, Into::into));
-        stats.topics = named.collect();
+        let topics = report.topics.into_iter().map(|topic| topic.named(TopicNames::of, Into::into));
+        self.state.stats.set(Stats {
+            domain: before.domain,
+            ros_domain: before.ros_domain,
+            rmw: before.rmw.clone(),
+            uptime_s: report.uptime_s,
+            ros_nodes: self.graph.nodes.len(),
+            ros_endpoints: self.endpoint_count,
+            not_bridged: report.problems,
+            incompatible_qos: by_topic(incompatible),
+            topics: topics.collect(),
+            services_not_bridged: report.service_problems,
+            services: services.collect(),
+            ..Stats::default()
+        });
     }
 }
 

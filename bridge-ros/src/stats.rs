@@ -4,8 +4,7 @@
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64};
-use std::sync::{Mutex, MutexGuard, PoisonError};
-use tautline_relay::TopicKey;
+use tautline_relay::{Latest, TopicKey};
 
 /// A topic in one direction.
 pub type TopicStats = tautline_relay::TopicStats<TopicNames, Direction>;
@@ -113,11 +112,5 @@ pub(crate) struct BridgeState {
     pub(crate) stop: AtomicBool,
     /// [`Stats::returned`].
     pub(crate) returned: AtomicU64,
-    pub(crate) stats: Mutex<Stats>,
-}
-
-impl BridgeState {
-    pub(crate) fn stats(&self) -> MutexGuard<'_, Stats> {
-        self.stats.lock().unwrap_or_else(PoisonError::into_inner)
-    }
+    pub(crate) stats: Latest<Stats>,
 }

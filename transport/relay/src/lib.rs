@@ -49,7 +49,7 @@ pub use services::{
     Arrived, FarClient, FarServer, FarServices, OfferedService, Pending, Response, ServerId, ServiceStats,
     Services, SoughtService, TakenRequest,
 };
-pub use stats::{Latency, Reading, TopicCounters, TopicStats, passing};
+pub use stats::{Latency, Latest, Reading, TopicCounters, TopicStats, passing};
 pub use transit::Transit;
 pub use worker::{Job, Worker, commanded};
 pub use writers::{FarWriter, Writers};

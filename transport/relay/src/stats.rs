@@ -13,6 +13,28 @@ use tautline_transport::Gid;
 
 use crate::program::{counted, rate};
 
+/// The last value that a thread set for readers of other priorities. Neither side copies or drops a value while the other one waits.
+#[derive(Debug, Default)]
+pub struct Latest<T>(PiMutex<Arc<T>>);
+
+impl<T> Latest<T> {
+    /// Starts with a value.
+    pub fn new(value: T) -> Self {
+        Latest(PiMutex::new(Arc::new(value)))
+    }
+
+    /// The value as it is now.
+    pub fn get(&self) -> Arc<T> {
+        self.0.lock().clone()
+    }
+
+    /// Replaces the value.
+    pub fn set(&self, value: T) {
+        let mut value = Arc::new(value);
+        std::mem::swap(&mut *self.0.lock(), &mut value);
+    }
+}
+
 /// Largest difference of time stamps that counts as a latency.
 const CLOCKS_AGREE_NS: i64 = 10_000_000_000;
 
@@ -256,6 +278,14 @@ pub fn passing<N, D: Copy + PartialEq>(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn who_reads_holds_nobody_up() {
+        let latest = Latest::new(1);
+        let read = latest.get();
+        latest.set(2);
+        assert_eq!((*read, *latest.get()), (1, 2));
+    }
 
     #[test]
     fn gaps_are_losses_and_nonsense_is_none() {

@@ -14,10 +14,10 @@ use crate::stats::{GatewayState, Stats};
 use crate::unclaimed::ClaimThread;
 use crate::wire::{Token, token_wildcard};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::sync::{Arc, mpsc};
 use tautline_relay::{
-    Event, Guard, Instance, InstanceError, InstanceLock, MirrorControl, Parts, RelayError, Rules, Services,
-    watch_domain,
+    Event, Guard, Instance, InstanceError, InstanceLock, Latest, MirrorControl, Parts, RelayError, Rules,
+    Services, watch_domain,
 };
 use tautline_rt::{JoinHandle, Policy, Realtime, RtError, ThreadBuilder, ThreadInfo};
 use tautline_schema::SchemaError;
@@ -129,8 +129,8 @@ impl Gateway {
         let state = Arc::new(GatewayState {
             stop: AtomicBool::new(false),
             has_missed: AtomicBool::new(false),
-            stats: Mutex::new(stats),
-            remote: Mutex::default(),
+            stats: Latest::new(stats),
+            remote: Latest::default(),
         });
         let refused =
             |what| move |error: zenoh::Error| GatewayError::Zenoh { what, reason: error.to_string() };
@@ -233,15 +233,14 @@ impl Gateway {
 
     /// The current statistics. Rates are those of the last second.
     pub fn stats(&self) -> Stats {
-        let mut stats = self.state.stats.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        stats.links = self.session.info().transports().wait().count();
-        stats.throttled = self.guard.as_ref().map_or(0, Guard::demotions);
-        stats
+        let links = self.session.info().transports().wait().count();
+        let throttled = self.guard.as_ref().map_or(0, Guard::demotions);
+        Stats { links, throttled, ..(*self.state.stats.get()).clone() }
     }
 
     /// Nodes, publishers, subscriptions, services and clients of other hosts.
     pub fn remote(&self) -> Arc<Vec<Token>> {
-        self.state.remote.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.state.remote.get()
     }
 }
 

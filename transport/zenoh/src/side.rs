@@ -10,14 +10,14 @@ use crate::options::Options;
 use crate::origin::ended;
 use crate::outgoing::{Identity, Network, NetworkSender, Writer};
 use crate::services::NetworkServices;
-use crate::stats::{GatewayState, ServiceNames, TopicNames};
+use crate::stats::{GatewayState, ServiceNames, Stats, TopicNames};
 use crate::tokens::{TokenChange, Tokens};
 use crate::types::Types;
 use crate::unclaimed::ClaimThread;
 use crate::wire::{Token, TopicKey, token_wildcard};
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, PoisonError, mpsc};
+use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 use tautline_relay::{
     Delivery, FarGraph, FarSide, FoundType, InKey, Ingress, IngressUpdate, Inward, LocalGraph, Publisher,
@@ -243,7 +243,7 @@ impl FarSide for NetworkSide {
     fn read_graph(&mut self, _: &LocalGraph) -> Result<FarGraph, String> {
         if std::mem::take(&mut self.is_unseen) {
             let remote: Vec<Token> = self.graph.tokens().cloned().collect();
-            *self.state.remote.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(remote);
+            self.state.remote.set(remote);
         }
         let mut there = self.graph.far_graph();
         // The gateway's own publishers count as known, so that their messages are ignored if they return.
@@ -388,18 +388,25 @@ impl FarSide for NetworkSide {
     }
 
     fn report(&mut self, report: Report, _: &Writers<Writer>) {
-        let mut stats = self.state.stats.lock().unwrap_or_else(PoisonError::into_inner);
-        stats.uptime_s = report.uptime_s;
-        stats.remote_nodes = self.graph.tokens().filter(|token| token.endpoint.is_none()).count();
-        stats.remote_endpoints = self.graph.tokens().count() - stats.remote_nodes;
-        stats.refused_tokens = self.graph.refused().clone();
-        stats.type_descriptions = self.descriptions.counts().clone();
-        stats.unauthorized = crate::access::refused();
-        stats.not_mirrored = report.problems;
-        stats.not_mirrored.extend(report.service_problems);
-        let named = report.services.into_iter().map(|service| service.named(ServiceNames::of, |way| way));
-        stats.services = named.collect();
-        stats.topics =
-            report.topics.into_iter().map(|topic| topic.named(TopicNames::of, |way| way)).collect();
+        let before = self.state.stats.get();
+        let remote_nodes = self.graph.tokens().filter(|token| token.endpoint.is_none()).count();
+        let not_mirrored = report.problems.into_iter().chain(report.service_problems);
+        let topics = report.topics.into_iter().map(|topic| topic.named(TopicNames::of, |way| way));
+        let services = report.services.into_iter().map(|service| service.named(ServiceNames::of, |way| way));
+        self.state.stats.set(Stats {
+            domain: before.domain,
+            network_domain: before.network_domain,
+            zid: before.zid.clone(),
+            uptime_s: report.uptime_s,
+            remote_nodes,
+            remote_endpoints: self.graph.tokens().count() - remote_nodes,
+            refused_tokens: self.graph.refused().clone(),
+            not_mirrored: not_mirrored.collect(),
+            type_descriptions: self.descriptions.counts().clone(),
+            unauthorized: crate::access::refused(),
+            topics: topics.collect(),
+            services: services.collect(),
+            ..Stats::default()
+        });
     }
 }

@@ -5,9 +5,8 @@ use crate::wire::Token;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, Mutex};
 pub use tautline_relay::Direction;
-use tautline_relay::TopicKey;
+use tautline_relay::{Latest, TopicKey};
 
 /// The names of a topic.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -86,7 +85,7 @@ pub(crate) struct GatewayState {
     pub(crate) stop: AtomicBool,
     /// Whether an event was dropped since the last resync.
     pub(crate) has_missed: AtomicBool,
-    pub(crate) stats: Mutex<Stats>,
+    pub(crate) stats: Latest<Stats>,
     /// Nodes and endpoints of other hosts.
-    pub(crate) remote: Mutex<Arc<Vec<Token>>>,
+    pub(crate) remote: Latest<Vec<Token>>,
 }
