@@ -69,6 +69,30 @@ fn what_a_publisher_sent_before_it_ended_arrives_in_ros() {
     assert_eq!(peer.take_texts(there, COUNT), texts);
 }
 
+/// It gets more than 5000 messages: a keep-all writer of Fast DDS keeps these, and then waits at each further one.
+#[test]
+fn a_reader_in_ros_that_takes_nothing_holds_nothing_up() {
+    let Some(venv) = ros() else { return };
+    const DOMAIN: u32 = 48;
+    const DEPTH: usize = 2000;
+    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
+    let participant = Participant::new(DOMAIN).unwrap();
+    let mut peer = Peer::start(&venv, DOMAIN, "stopped");
+    let there = peer.subscription("/untaken", STRING, json!({}));
+    let here = publisher(&participant, "/untaken", STRING, Qos::keep_all(DEPTH));
+    matched(&here, 1);
+    here.publish(&text_body("first")).unwrap();
+    assert_eq!(peer.take_texts(there, 1), ["first"]);
+    peer.signal(Signal::STOP);
+    for batch in 1..=3 {
+        (0..DEPTH).for_each(|_| here.publish(&text_body("untaken")).unwrap());
+        wait_until("all are sent", || bridge.topic("/untaken", "to_ros")["messages"] == 1 + batch * DEPTH);
+    }
+    let numbers = bridge.topic("/untaken", "to_ros");
+    assert_eq!((&numbers["lost"], &numbers["dropped"]), (&json!(0), &json!({})));
+    peer.signal(Signal::CONT);
+}
+
 #[test]
 fn nothing_is_lost_while_a_deeper_subscription_joins() {
     let Some(venv) = ros() else { return };

@@ -144,6 +144,13 @@ impl Inward {
             Side::Ros => {
                 self.offered.depth = depth;
                 self.qos.depth = self.qos.depth.max(running.qos.depth);
+                // Without publishers, nothing is offered yet. Without kept samples, a restart repeats none.
+                if self.offered.durability == Durability::TransientLocal && !running.publishers.is_empty() {
+                    let (one, other) = (self.offered, running.offered);
+                    self.offered.deadline = longest([one.deadline, other.deadline]);
+                    self.offered.liveliness_lease_duration =
+                        longest([one.liveliness_lease_duration, other.liveliness_lease_duration]);
+                }
             }
             Side::Network => {
                 let (was, is) = (Class::of(&running.offered), Class::of(&self.offered));
@@ -495,6 +502,8 @@ impl MirrorPlan {
                 // The mirror is not notified of assertions of liveliness.
                 liveliness: tautline_transport::Liveliness::Automatic,
                 liveliness_lease_duration: None,
+                // In ROS, a writer that keeps all waits for its readers, and all topics wait with it.
+                history: if side == Side::Ros { History::KeepLast } else { end.qos.history },
                 ..end.qos
             });
             let wanted = WantedWriter { qos, hash: hash.clone(), is_here: end.origin.is_here() };
@@ -618,8 +627,8 @@ pub(crate) fn grouped<T: Copy, K: Ord>(
 }
 
 /// The longest time; `None`: no limit.
-fn longest(times: impl Iterator<Item = Option<Duration>>) -> Option<Duration> {
-    times.reduce(|one, other| Some(one?.max(other?))).flatten()
+fn longest(times: impl IntoIterator<Item = Option<Duration>>) -> Option<Duration> {
+    times.into_iter().reduce(|one, other| Some(one?.max(other?))).flatten()
 }
 
 /// The hash that the endpoints of a type use: preferably one stated on both sides.

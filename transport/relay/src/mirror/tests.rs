@@ -122,6 +122,20 @@ fn publishers_keep_their_qos_but_for_what_nobody_can_keep() {
 }
 
 #[test]
+fn in_ros_no_writer_waits_for_its_readers_unless_a_rule_says_so() {
+    let here = [end(EndpointKind::Publisher, "/x", 1, Qos::keep_all(7))];
+    let opened = |mut mirror: Mirror| match &mirror.look(&here, &[])[..] {
+        [Action::OpenWriter(_, _, qos, _)] => *qos,
+        actions => panic!("{actions:?}"),
+    };
+    let rules = || Rules { auto: true, ..Rules::default() };
+    assert_eq!(opened(Mirror::new(Side::Ros, rules())), Qos::keep_last(7));
+    assert_eq!(opened(Mirror::new(Side::Network, rules())), Qos::keep_all(7));
+    let qos = QosOverride { history: Some(History::KeepAll), ..QosOverride::default() };
+    assert_eq!(opened(ruled(Rule { qos, ..rule("/x") })), Qos::keep_all(7));
+}
+
+#[test]
 fn from_ros_by_what_publishers_offer() {
     let mut mirror = auto();
     let here = [subscription("/x", 1)];
@@ -169,6 +183,8 @@ fn queues_and_what_is_kept_are_as_deep_as_the_deepest_asks() {
     );
     let Action::StartIn(_, inward) = &actions[0] else { panic!("{actions:?}") };
     assert_eq!(inward.offered.deadline, None);
+    // Nor without that publisher again: what is kept would come again.
+    assert_eq!(told(&mirror.look(&here, &there)), ["change /x latched [7, 8]"]);
     // Of a volatile class.
     let actions = mirror.look(&[subscription("/y", 1)], &[publisher("/y", 7)]);
     let Some(Action::StartIn(_, inward)) = actions.last() else { panic!("{actions:?}") };
