@@ -85,14 +85,25 @@ fn config(mut root: Section<'_>) -> Config {
     let (allow, deny) = (patterns(&mut root, "allow"), patterns(&mut root, "deny"));
     let mut rules = read_rules(&mut root, "topic", topic);
     let mut services = read_rules(&mut root, "service", service);
-    for action in read_rules(&mut root, "action", action) {
-        rules.push(action.clone());
-        services.push(action);
+    let actions = read_rules(&mut root, "action", action);
+    for rules in [&mut rules, &mut services] {
+        rules.extend_from_slice(&actions);
+        rules.sort_by_key(order);
     }
     root.finish();
     let filter = Filter { allow, deny };
     let services = Rules { rules: services, auto, filter: filter.clone() };
     Config { domain, ros_domain, rules: Rules { rules, auto, filter }, services, transit }
+}
+
+/// Sorts rules for single parts of actions before those for actions, and these before others: `/**` would rename an action's
+/// topics and not its services.
+fn order(rule: &Rule) -> u8 {
+    match rule.is_of_actions {
+        true => 1,
+        false if rule.topic.to_string().contains("/_action/") => 0,
+        false => 2,
+    }
 }
 
 /// Reads the tables `[[name]]`. A rule is `None` if its name is missing.
@@ -135,9 +146,9 @@ fn service(section: &mut Section<'_>) -> Option<Rule> {
 /// Reads one rule for the services and topics of an action.
 fn action(section: &mut Section<'_>) -> Option<Rule> {
     let Rule { topic, far_topic, direction, .. } = names(section, "action", "ros_action")?;
-    let parts = |action: Pattern| match action.exact() {
-        Some(name) => format!("{name}/_action/**").parse().ok(),
-        None => Some(action),
+    let parts = |action: Pattern| match action.prefix() {
+        Some(_) => Some(action),
+        None => format!("{action}/_action/**").parse().ok(),
     };
     let far_topic = far_topic.and_then(parts);
     Some(Rule { far_topic, direction, is_of_actions: true, ..Rule::new(parts(topic)?) })
@@ -227,6 +238,11 @@ mod tests {
             topic = "/plain"
             direction = "both"
             max_rate_hz = 1
+            [[topic]]
+            topic = "/**"
+            [[topic]]
+            topic = "/dock/_action/status"
+            max_rate_hz = 1
             [[service]]
             service = "/set"
             ros_service = "/r1/set"
@@ -239,6 +255,9 @@ mod tests {
             action = "/arm/**"
             ros_action = "/ros_arm/**"
             direction = "to_ros"
+            [[action]]
+            action = "/*/lift"
+            direction = "from_ros"
         "#;
         let config = Config::parse(text).unwrap();
         assert_eq!((config.domain, config.ros_domain), (Some(5), Some(16)));
@@ -261,6 +280,11 @@ mod tests {
                 (&*arm.far_topic, arm.direction),
                 ("/ros_arm/left/_action/status", Some(Direction::Out))
             );
+            let lift = rules.choice("/left/lift/_action/status").unwrap();
+            assert_eq!(
+                (&*lift.far_topic, lift.direction),
+                ("/left/lift/_action/status", Some(Direction::In))
+            );
             // Not of an action: as if there were no rule.
             let other = rules.choice("/arm/joint_states").unwrap();
             assert_eq!((&*other.far_topic, other.direction), ("/arm/joint_states", None));
@@ -269,6 +293,8 @@ mod tests {
                 Some("/arm/left/_action/status")
             );
         }
+        let status = config.rules.choice("/dock/_action/status").unwrap();
+        assert_eq!(status.min_period, Some(Duration::from_secs(1)), "a rule for a part of an action");
         assert!(
             config.services.choice("/camera/set").is_none() && config.services.choice("/other").is_some()
         );

@@ -139,14 +139,15 @@ impl Rules {
     }
 }
 
-/// Translates a name: `/a/x` to `/b/x` by the patterns `/a/**` and `/b/**`; `/a` to `/b` by `/a` and `/b`.
+/// Translates a name: `/a/x` to `/b/x` and `/a` to `/b` by the patterns `/a/**` and `/b/**`; `/a` to `/b` by `/a` and `/b`.
 fn translated(name: &str, from: &Pattern, to: &Pattern) -> Option<String> {
     if let (Some(from), Some(to)) = (from.exact(), to.exact()) {
         return (name == from).then(|| to.to_owned());
     }
     let rest = name.strip_prefix(from.prefix()?)?;
-    let to = to.prefix()?;
-    (rest.starts_with('/') && rest.len() > 1).then(|| format!("{to}{rest}"))
+    let is_whole = rest.is_empty() || (rest.starts_with('/') && rest.len() > 1);
+    let translated = format!("{}{rest}", to.prefix()?);
+    (is_whole && !translated.is_empty()).then_some(translated)
 }
 
 #[cfg(test)]
@@ -167,7 +168,8 @@ mod tests {
             rules: vec![renaming("/a", "/b"), renaming("/robot/**", "/r1/**"), Rule::new(pattern("/same"))],
             ..Rules::default()
         };
-        for (here, there) in [("/a", "/b"), ("/robot/x/y", "/r1/x/y"), ("/same", "/same")] {
+        for (here, there) in [("/a", "/b"), ("/robot/x/y", "/r1/x/y"), ("/robot", "/r1"), ("/same", "/same")]
+        {
             assert_eq!(rules.choice(here).unwrap().far_topic, there);
             assert_eq!(rules.here_name(there).as_deref(), Some(here));
         }
@@ -177,6 +179,9 @@ mod tests {
         for name in ["/a", "/robot/x", "/other"] {
             assert_eq!(rules.here_name(name), None, "{name}");
         }
+        // No name is left of it without the prefix.
+        let rules = Rules { rules: vec![renaming("/r1/**", "/**")], ..Rules::default() };
+        assert_eq!(["/r1/x", "/r1"].map(|name| rules.choice(name).unwrap().far_topic), ["/x", "/r1"]);
     }
 
     #[test]
