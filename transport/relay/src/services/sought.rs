@@ -7,6 +7,7 @@ use super::stats::ServiceCounters;
 use crate::mirror::TopicKey;
 use crate::waker::Flag;
 use std::collections::{BTreeSet, VecDeque};
+use std::iter::from_fn;
 use std::sync::Arc;
 use std::task::{Context, Poll};
 use tautline_transport::{
@@ -18,6 +19,9 @@ const DEPTH: usize = 100;
 
 /// Maximum of pending error responses per service.
 const MOST_UNSENT_ERRORS: usize = 1024;
+
+/// Maximum of queued requests that are counted when the server ends, because clients may go on asking.
+const MOST_COUNTED: usize = 1024;
 
 const SERVER_GONE: &str = "its server has gone";
 
@@ -136,7 +140,10 @@ impl<C: FarClient> Sought<C> {
     /// Ends the server in the domain, so that all pending requests get an error.
     fn close_server(&mut self) {
         self.counters.set_active(false);
-        self.counters.failed_times(self.far.forget(), SERVER_GONE);
+        // Those that were not sent yet end with the others.
+        let queued = self.server.iter().flat_map(|server| from_fn(move || server.try_take().ok().flatten()));
+        let unsent = usize::from(self.next.is_some()) + queued.take(MOST_COUNTED).count();
+        self.counters.failed_times(self.far.forget() + unsent, SERVER_GONE);
         (self.server, self.next) = (None, None);
         self.unsent_errors.clear();
     }
