@@ -12,7 +12,7 @@ use tautline_rt::PiMutex;
 
 /// Maximum of distinct reasons; further ones are counted together.
 const MOST_REASONS: usize = 16;
-/// Maximum of services; beyond it, inactive ones are forgotten.
+/// Maximum of services; beyond it, those that have ended are forgotten.
 const MOST_SERVICES: usize = 1024;
 
 /// A mirrored service.
@@ -84,11 +84,17 @@ struct Counted {
     since_end: SinceEnd,
 }
 
+impl Counted {
+    fn is_used(&self) -> bool {
+        Arc::strong_count(&self.counters) > 1
+    }
+}
+
 impl ServiceStatsTable {
     pub(super) fn counters(&self, key: &TopicKey, direction: Direction) -> Arc<ServiceCounters> {
         let mut all = self.0.lock();
         if all.len() >= MOST_SERVICES {
-            all.retain(|_, counted| counted.counters.0.lock().active);
+            all.retain(|_, counted| counted.is_used());
         }
         all.entry((key.clone(), direction)).or_default().counters.clone()
     }
@@ -96,7 +102,7 @@ impl ServiceStatsTable {
     /// Reads all counters, `elapsed` after the last call. A minute after its end a service is forgotten.
     pub(super) fn read(&self, elapsed: Duration) -> Vec<ServiceStats<TopicKey, Direction>> {
         let mut all = self.0.lock();
-        all.retain(|_, counted| counted.since_end.is_kept(Arc::strong_count(&counted.counters) > 1, elapsed));
+        all.retain(|_, counted| counted.since_end.is_kept(counted.is_used(), elapsed));
         let stats = |((key, direction), counted): (&(TopicKey, Direction), &Counted)| {
             let Counts { active, answered, failed } = counted.counters.0.lock().clone();
             ServiceStats { name: key.clone(), direction: *direction, active, answered, failed }
@@ -109,12 +115,27 @@ impl ServiceStatsTable {
 mod tests {
     use super::*;
 
+    fn counters_of(stats: &ServiceStatsTable, topic: impl Into<String>) -> Arc<ServiceCounters> {
+        let (topic, far_topic, type_name) = (topic.into(), "/b".into(), "c/srv/D".into());
+        stats.counters(&TopicKey { topic, far_topic, type_name, type_hash: None }, Direction::Out)
+    }
+
+    #[test]
+    fn of_too_many_services_those_that_go_on_are_counted() {
+        let stats = ServiceStatsTable::default();
+        // It seeks its server.
+        let goes_on = counters_of(&stats, "/a");
+        (1..=MOST_SERVICES).for_each(|number| drop(counters_of(&stats, format!("/b{number}"))));
+        goes_on.answered();
+        let left = stats.read(Duration::ZERO);
+        let left: Vec<_> = left.iter().map(|service| (&*service.name.topic, service.answered)).collect();
+        assert_eq!(left, [("/a", 1), (&*format!("/b{MOST_SERVICES}"), 0)]);
+    }
+
     #[test]
     fn reasons_do_not_grow_without_end() {
         let stats = ServiceStatsTable::default();
-        let (topic, far_topic, type_name) = ("/a".into(), "/b".into(), "c/srv/D".into());
-        let key = TopicKey { topic, far_topic, type_name, type_hash: None };
-        let counters = stats.counters(&key, Direction::Out);
+        let counters = counters_of(&stats, "/a");
         for index in 0..100 {
             counters.failed(index % 50);
         }
