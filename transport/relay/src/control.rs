@@ -21,7 +21,8 @@ use std::time::{Duration, Instant};
 use tautline_schema::Schema;
 use tautline_transport::{
     Durability, EndpointKind, Gid, GraphSnapshot, History, Limits, NodeInfo, Participant, Qos, RawPublisher,
-    RawSubscription, RemoteGraph, RemoteNode, ServiceEndpoint, TopicEndpoint, TopicType, TransportError,
+    RawSubscription, RemoteGraph, RemoteNode, ServiceEndpoint, ServiceKind, TopicEndpoint, TopicType,
+    TransportError,
 };
 
 /// The far side of a mirror: a network or a ROS 2 graph. [`MirrorControl`] calls it from one thread.
@@ -485,7 +486,12 @@ impl<F: FarSide> MirrorControl<F> {
         }
         for (end, teller) in there.services {
             let Some(name) = self.service_rules.here_name(&end.name) else { continue };
-            let told = self.transit.origin_here(&end.origin, teller);
+            let way = match end.kind {
+                ServiceKind::Server => Direction::In,
+                ServiceKind::Client => Direction::Out,
+            };
+            let goes = self.service_rules.choice(&name).is_some_and(|choice| choice.allows(way));
+            let told = self.transit.origin_here(&end.origin, teller).filter(|_| goes);
             let gid = F::announced_gid(&end);
             remote.services.extend(told.map(|origin| ServiceEndpoint { name, gid, origin, ..end }));
         }

@@ -9,15 +9,15 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 use tautline_relay::OfferedService;
 use tautline_relay::{
-    Arrived, Delivery, EarlyLimits, Egress, Event, FarClient, FarGraph, FarServer, FarServices, FarSide,
-    FarWriter, FoundType, InKey, Ingress, IngressUpdate, Inward, LocalGraph, MessageMeta, MirrorControl,
-    Outbound, OutboundSample, Parts, Publisher, Relay, Report, Response, Rules, ServerId, Services, Side,
-    SoughtService, TakenRequest, TopicKey, Transit, Writers,
+    Arrived, Delivery, Direction, EarlyLimits, Egress, Event, FarClient, FarGraph, FarServer, FarServices,
+    FarSide, FarWriter, FoundType, InKey, Ingress, IngressUpdate, Inward, LocalGraph, MessageMeta,
+    MirrorControl, Outbound, OutboundSample, Parts, Publisher, Relay, Report, Response, Rule, Rules,
+    ServerId, Services, Side, SoughtService, TakenRequest, TopicKey, Transit, Writers,
 };
 use tautline_rt::ThreadBuilder;
 use tautline_transport::{
-    EndpointKind, Gid, Limits, Origin, Participant, Qos, RawPublisher, RawSample, RawSubscription, RequestId,
-    ServiceType, TopicEndpoint, TopicType,
+    EndpointKind, Gid, Limits, NodeHandle, Origin, Participant, Qos, RawPublisher, RawSample,
+    RawSubscription, RequestId, ServiceEndpoint, ServiceKind, ServiceType, TopicEndpoint, TopicType,
 };
 
 const DOMAIN: u32 = 94;
@@ -28,6 +28,7 @@ const FAR: u128 = 9;
 #[derive(Default)]
 struct World {
     there: Vec<TopicEndpoint>,
+    services: Vec<ServiceEndpoint>,
     ingresses: HashMap<InKey, Ingress>,
     /// Of how many publishers none passes the samples on yet.
     failing_senders: usize,
@@ -36,7 +37,11 @@ struct World {
     report: Option<Report>,
     notifier: Arc<Notifier>,
     requests: VecDeque<u32>,
+    /// The least length of a request.
+    request_bytes: usize,
     answers: Vec<Result<Vec<u8>, String>>,
+    /// The nodes of the services that were offered, in order.
+    offered: Vec<String>,
     /// Whether the thread that carries requests has ended: what takes samples is about to.
     is_ending: bool,
 }
@@ -83,10 +88,10 @@ impl FarWriter for ProxyPublisher {
     }
 }
 
-struct Play(Shared);
+struct Play<const IS_ROS: bool>(Shared);
 
-impl FarSide for Play {
-    const SIDE: Side = Side::Network;
+impl<const IS_ROS: bool> FarSide for Play<IS_ROS> {
+    const SIDE: Side = if IS_ROS { Side::Ros } else { Side::Network };
     const DELIVERY: Delivery = Delivery { early: None, is_ordered: false };
     type Event = ();
     type Egress = Log;
@@ -105,7 +110,8 @@ impl FarSide for Play {
             publishers.entry(end.topic.clone()).or_default().insert(end.gid);
         }
         let endpoints = endpoints.into_iter().map(|end| (end, FAR)).collect();
-        Ok(FarGraph { endpoints, publishers, ..FarGraph::default() })
+        let services = of(&self.0).services.iter().map(|end| (end.clone(), FAR)).collect();
+        Ok(FarGraph { endpoints, services, publishers, ..FarGraph::default() })
     }
 
     fn prepare(&mut self, _: &mut LocalGraph, _: &Transit) {}
@@ -191,9 +197,10 @@ impl FarServices for PlayServices {
     fn offer<'a>(
         &'a mut self,
         _: &'a TopicKey,
-        _: &'a OfferedService,
+        service: &'a OfferedService,
         (): &'a (),
     ) -> Result<(ServiceType, Box<dyn FnOnce() -> Result<Server, String> + 'a>), String> {
+        of(&self.0).offered.extend(service.node.as_ref().map(ToString::to_string));
         Ok((service_type(), Box::new(|| Ok(Server(self.0.clone())))))
     }
 
@@ -226,8 +233,11 @@ impl FarServer for Server {
     type Request = u32;
 
     fn take(&mut self) -> Option<TakenRequest<u32>> {
-        let request = of(&self.0).requests.pop_front()?;
-        Some(Ok((request, request.to_le_bytes().to_vec())))
+        let mut world = of(&self.0);
+        let request = world.requests.pop_front()?;
+        let mut body = request.to_le_bytes().to_vec();
+        body.resize(body.len().max(world.request_bytes), 0);
+        Some(Ok((request, body)))
     }
 
     fn answer(&mut self, _: u32, answer: Result<&[u8], &str>) -> Result<(), String> {
@@ -302,6 +312,21 @@ fn end(kind: EndpointKind, topic: &str, id: u8, qos: Qos) -> TopicEndpoint {
     }
 }
 
+fn service_end(kind: ServiceKind, name: &str, id: u8) -> ServiceEndpoint {
+    ServiceEndpoint {
+        kind,
+        name: name.into(),
+        type_name: "test_msgs/srv/Bytes".into(),
+        type_hash: Some(HASH.into()),
+        gid: Gid([id; 16]),
+        node: None,
+        pid: None,
+        is_remote: true,
+        origin: Origin::here(Gid([id; 16]), "elsewhere"),
+        teller: None,
+    }
+}
+
 fn until(what: &str, mut is_so: impl FnMut() -> bool) {
     let end = Instant::now() + Duration::from_secs(60);
     while !is_so() {
@@ -319,11 +344,23 @@ fn publish(publisher: &RawPublisher, body: &[u8]) {
 impl Mirroring {
     /// With these ends on the far side.
     fn start(domain: u32, there: Vec<TopicEndpoint>, change: impl FnOnce(&mut World)) -> Self {
+        let service_rules = Rules { auto: true, ..Rules::default() };
+        Self::start_as::<false>(domain, service_rules, |world| {
+            world.there = there;
+            change(world);
+        })
+    }
+
+    fn start_as<const IS_ROS: bool>(
+        domain: u32,
+        service_rules: Rules,
+        change: impl FnOnce(&mut World),
+    ) -> Self {
         let participant = Participant::new(domain).unwrap();
         participant.set_remote(&Default::default()).unwrap();
         let (log, passed) = mpsc::channel();
         let gate = Arc::<Mutex<()>>::default();
-        let mut world = World { there, ..World::default() };
+        let mut world = World::default();
         change(&mut world);
         let world = Arc::new(Mutex::new(world));
         let egress = Log { passed: log, gate: gate.clone() };
@@ -332,7 +369,7 @@ impl Mirroring {
         let services = Services::start(&participant, PlayServices(world.clone()), thread).unwrap();
         let transit = Transit::to_network(participant.domain_id(), participant.id(), 1, "host");
         let rules = Rules { auto: true, ..Rules::default() };
-        let (far, service_rules) = (Play(world.clone()), rules.clone());
+        let far = Play::<IS_ROS>(world.clone());
         let parts = Parts { participant, far, relay, services, transit, rules, service_rules };
         let (events, received) = mpsc::channel();
         let stop = Arc::<AtomicBool>::default();
@@ -520,5 +557,80 @@ fn more_requests_go_on_than_a_client_has_places() {
         .collect();
     answers.sort_unstable();
     assert_eq!(answers, (0..REQUESTS).collect::<Vec<_>>());
+    mirroring.end();
+}
+
+#[test]
+fn a_request_may_be_longer_than_all_that_may_wait() {
+    isolated();
+    const DOMAIN_HERE: u32 = DOMAIN + 6;
+    const BYTES: usize = 17 << 20;
+    let participant = Participant::new(DOMAIN_HERE).unwrap();
+    let server = participant.create_raw_server("/s", &service_type(), 1, Limits::default()).unwrap();
+    let mirroring = Mirroring::start(DOMAIN_HERE, Vec::new(), |world| {
+        world.request_bytes = BYTES;
+        world.requests.push_back(0);
+    });
+    let mut taken = None;
+    until("the request", || {
+        taken = server.try_take().unwrap();
+        taken.is_some()
+    });
+    let request = taken.unwrap();
+    assert_eq!(request.body().len(), BYTES);
+    let response = server.loan(RequestId::of(request.info()), 0).unwrap();
+    response.send().map_err(|unsent| unsent.to_string()).unwrap();
+    until("the answer", || !mirroring.world().answers.is_empty());
+    assert_eq!(mirroring.world().answers[0], Ok(Vec::new()));
+    mirroring.end();
+}
+
+#[test]
+fn services_of_the_far_side_are_announced_in_the_directions_of_their_rules() {
+    isolated();
+    const DOMAIN_HERE: u32 = DOMAIN + 7;
+    let participant = Participant::new(DOMAIN_HERE).unwrap();
+    let rule =
+        |name: &str, direction| Rule { direction: Some(direction), ..Rule::new(name.parse().unwrap()) };
+    let rules = vec![rule("/in", Direction::In), rule("/out", Direction::Out)];
+    let rules = Rules { rules, ..Rules::default() };
+    let mirroring = Mirroring::start_as::<false>(DOMAIN_HERE, rules, |world| {
+        world.services = vec![
+            service_end(ServiceKind::Server, "/in", 1),
+            service_end(ServiceKind::Client, "/in", 2),
+            service_end(ServiceKind::Server, "/out", 3),
+            service_end(ServiceKind::Client, "/out", 4),
+        ];
+    });
+    let mut announced = Vec::new();
+    until("two ends", || {
+        let graph = participant.graph().unwrap();
+        let ends = graph.services.iter().filter(|end| end.teller.is_some());
+        announced = ends.map(|end| (end.name.clone(), end.kind)).collect();
+        announced.len() >= 2
+    });
+    announced.sort();
+    let expected = [("/in", ServiceKind::Server), ("/out", ServiceKind::Client)];
+    assert_eq!(announced, expected.map(|(name, kind)| (name.to_owned(), kind)));
+    mirroring.end();
+}
+
+#[test]
+fn a_service_follows_its_server_to_another_node() {
+    isolated();
+    const DOMAIN_HERE: u32 = DOMAIN + 8;
+    let participant = Participant::new(DOMAIN_HERE).unwrap();
+    let [first, second] = ["first", "second"].map(|name| participant.create_node(name, "/").unwrap());
+    let serve = |node: &NodeHandle| {
+        let participant = participant.for_node(node);
+        participant.create_raw_server("/s", &service_type(), 1, Limits::default()).unwrap()
+    };
+    let server = serve(&first);
+    let rules = Rules { auto: true, ..Rules::default() };
+    let mirroring = Mirroring::start_as::<true>(DOMAIN_HERE, rules, |_| {});
+    until("the first node's", || mirroring.world().offered == ["/first"]);
+    let _next = serve(&second);
+    drop(server);
+    until("the second node's", || mirroring.world().offered == ["/first", "/second"]);
     mirroring.end();
 }

@@ -268,7 +268,8 @@ impl<F: FarServices> Exchange<F> {
     }
 
     fn set_routes(&mut self, routes: &Routes, with: &F::With) {
-        self.offered.retain(|key, _| routes.offered.contains_key(key));
+        // A server with another node or definition is another one.
+        self.offered.retain(|key, offered| routes.offered.get(key) == Some(offered.service()));
         self.sought.retain(|key, _| routes.sought.contains_key(key));
         self.refused.retain(|key, _| routes.offered.contains_key(key) || routes.sought.contains_key(key));
         self.state.problems().clear();
@@ -277,7 +278,7 @@ impl<F: FarServices> Exchange<F> {
                 let counters = self.state.stats.counters(key, Direction::Out);
                 let (participant, flag) = (&self.participant, Flag::new(self.waker.clone()));
                 let offered = self.far.offer(key, service, with).and_then(|(service_type, open)| {
-                    Offered::open(key, service_type, participant, counters, flag, open)
+                    Offered::open((key, service), service_type, participant, counters, flag, open)
                 });
                 match offered {
                     Ok(offered) => drop(self.offered.insert(key.clone(), offered)),

@@ -2,6 +2,7 @@
 //! A service of the domain, offered on the far side.
 
 use super::limits::{TURN, limits};
+use super::routes::OfferedService;
 use super::stats::ServiceCounters;
 use crate::mirror::TopicKey;
 use crate::waker::Flag;
@@ -19,6 +20,7 @@ use tautline_transport::{
 
 /// Maximum of requests that wait for the server or for room in its queue; further requests are refused and counted.
 const MOST_WAITING: usize = 1024;
+/// The same for their bytes; a single request may be longer.
 const MOST_WAITING_BYTES: usize = 16 << 20;
 const SERVER_TIME: Duration = Duration::from_secs(10);
 /// Maximum of clients per service; a further client is created when all have their maximum of pending requests.
@@ -51,6 +53,7 @@ pub(super) struct Offered<S: FarServer> {
     far: S,
     flag: Arc<Flag>,
     key: TopicKey,
+    service: OfferedService,
     service_type: ServiceType,
     participant: Participant,
     /// Requests that are not sent yet, for lack of a server or of room in its queue.
@@ -69,7 +72,7 @@ type Answer<R> = (R, Result<Result<RawSample, ServiceError>, Aborted>);
 impl<S: FarServer> Offered<S> {
     /// Creates a client here, and then the far server with `open`: last, because requests arrive from then on.
     pub(super) fn open(
-        key: &TopicKey,
+        (key, service): (&TopicKey, &OfferedService),
         service_type: ServiceType,
         participant: &Participant,
         counters: Arc<ServiceCounters>,
@@ -86,6 +89,7 @@ impl<S: FarServer> Offered<S> {
             far,
             flag,
             key: key.clone(),
+            service: service.clone(),
             service_type,
             participant: participant.clone(),
             waiting,
@@ -100,6 +104,11 @@ impl<S: FarServer> Offered<S> {
     /// Whether requests wait for a server in the domain or for room in its queue.
     pub(super) fn is_waiting(&self) -> bool {
         !self.waiting.is_empty()
+    }
+
+    /// The service, as it was when this was opened.
+    pub(super) fn service(&self) -> &OfferedService {
+        &self.service
     }
 
     pub(super) fn far(&self) -> &S {
@@ -119,7 +128,9 @@ impl<S: FarServer> Offered<S> {
     }
 
     fn receive(&mut self, request: S::Request, body: Vec<u8>) {
-        if self.waiting.len() >= MOST_WAITING || self.waiting_bytes + body.len() > MOST_WAITING_BYTES {
+        let is_full = self.waiting.len() >= MOST_WAITING
+            || (!self.waiting.is_empty() && self.waiting_bytes + body.len() > MOST_WAITING_BYTES);
+        if is_full {
             return self.refuse(request, "too many requests wait for the server here");
         }
         self.waiting_bytes += body.len();

@@ -113,14 +113,18 @@ impl Routes {
         let Some(choice) = rules.choice(service) else { return };
         let servers = servers_of(there, &choice);
         let all = here.iter().filter(|end| end.kind == ServiceKind::Server);
-        let server = all.min_by_key(|end| (!announced(end), !end.origin.is_here()));
-        let is_asked = here.iter().any(|end| end.kind == ServiceKind::Client);
-        // Of clients with different types, prefers those that ROS can serve.
-        let is_there =
-            |end: &&&ServiceEndpoint| servers.clone().any(|server| server.type_name == end.type_name);
-        let Some(end) = server.or_else(|| here.iter().find(is_there)).or_else(|| here.first()) else {
-            return;
+        let is_offered = |end: &ServiceEndpoint| {
+            let key = TopicKey::of(service, &choice, &end.type_name, None);
+            before.offered.get(&key).is_some_and(|offered| offered.node == end.node)
         };
+        let server = all.min_by_key(|end| (!announced(end), !end.origin.is_here(), !is_offered(end)));
+        let is_asked = here.iter().any(|end| end.kind == ServiceKind::Client);
+        // Of clients with different types, prefers the first that ROS can serve, at best with its definition.
+        let rank = |end: &&&ServiceEndpoint| {
+            let same = servers.clone().filter(|server| server.type_name == end.type_name);
+            same.map(|server| end.type_hash.is_none() || end.type_hash == server.type_hash).max()
+        };
+        let Some(end) = server.or_else(|| here.iter().rev().max_by_key(rank)) else { return };
         if let Some(expected) = choice.type_name.as_ref().filter(|expected| **expected != end.type_name) {
             let reason = format!(
                 "its type is {}, but the configuration says {expected}: correct or remove 'type'",
@@ -272,6 +276,32 @@ mod tests {
         rule.type_name = Some("std_srvs/srv/Empty".into());
         let routes = of(&rules(&rule), &[server("/a")], &[]);
         assert!(routes.offered.is_empty() && routes.problems["/a"].contains("std_srvs/srv/Empty"));
+    }
+
+    #[test]
+    fn a_client_with_an_old_definition_denies_the_service_to_no_other() {
+        let rules = Rules { auto: true, ..Rules::default() };
+        let stated =
+            |end: ServiceEndpoint, hash: &str| ServiceEndpoint { type_hash: Some(hash.to_owned()), ..end };
+        let (old, new) = (stated(client("/a"), "old"), stated(client("/a"), "new"));
+        for here in [[old.clone(), new.clone()], [new, old]] {
+            let routes = of(&rules, &here, &[stated(server("/a"), "new")]);
+            assert_eq!(routes.sought.values().next().unwrap().type_hash.as_deref(), Some("new"));
+        }
+    }
+
+    #[test]
+    fn of_two_servers_here_the_one_that_was_offered_stays_so() {
+        let rules = Rules { auto: true, ..Rules::default() };
+        let at = |name: &str| ServiceEndpoint {
+            node: Some(NodeName { namespace: "/".into(), name: name.into() }),
+            ..server("/a")
+        };
+        let first = of(&rules, &[at("one")], &[]);
+        for here in [[at("one"), at("other")], [at("other"), at("one")]] {
+            assert_eq!(Routes::of(Side::Ros, &rules, &here, &[], &first, |_| true), first);
+        }
+        assert_ne!(Routes::of(Side::Ros, &rules, &[at("other")], &[], &first, |_| true), first);
     }
 
     #[test]
