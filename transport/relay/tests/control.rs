@@ -319,7 +319,7 @@ fn service_end(kind: ServiceKind, name: &str, id: u8) -> ServiceEndpoint {
         type_name: "test_msgs/srv/Bytes".into(),
         type_hash: Some(HASH.into()),
         gid: Gid([id; 16]),
-        node: None,
+        node: Some(tautline_transport::NodeName { namespace: "/".into(), name: "elsewhere".into() }),
         pid: None,
         is_remote: true,
         origin: Origin::here(Gid([id; 16]), "elsewhere"),
