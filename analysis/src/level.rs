@@ -2,11 +2,11 @@
 //! The one fixed-point search behind all bounds: a task, the thread it runs in, and everything that delays it.
 use std::cell::{Cell, RefCell};
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BinaryHeap, HashMap};
+use std::collections::{BTreeMap, BinaryHeap, HashMap, btree_map};
 
 use crate::release::Release;
 use crate::validate::validate;
-use crate::{AnalysisError, Group, Hold, Order, Overheads, Reservation, Task};
+use crate::{AnalysisError, Group, Hold, Order, Overheads, Rank, Reservation, Task};
 
 /// Ends the search where utilisation is so close to 1 that the busy window is practically endless.
 const MAX_ITERATIONS: u32 = 100_000;
@@ -161,7 +161,7 @@ pub(crate) struct Core<'a> {
     /// The tasks of each thread that several tasks share.
     threads: HashMap<u32, Vec<usize>>,
     /// The bounds of these threads that were computed already, by thread and rank.
-    known: RefCell<HashMap<(u32, u8), Result<Shared, AnalysisError>>>,
+    known: RefCell<HashMap<(u32, Rank), Result<Shared, AnalysisError>>>,
     /// A task that is released too often at once, if there is one.
     burst: Option<AnalysisError>,
     throttled: bool,
@@ -371,7 +371,7 @@ impl<'a> Core<'a> {
         let shares = |group: &Group| self.threads.get(&group.id).is_some_and(|members| members.len() > 1);
         let Some(group) = task.group.filter(shares) else { return Level::new(self, index)?.bound() };
         // All tasks of a thread have one bound, or those of one rank.
-        let key = (group.id, if group.order == Order::Priority { task.rank } else { 0 });
+        let key = (group.id, if group.order == Order::Priority { task.rank } else { Rank::Of(0) });
         let known = self.known.borrow().get(&key).cloned();
         let shared = known.unwrap_or_else(|| {
             let found = Level::new(self, index).and_then(|level| level.of_thread(group.order));
@@ -396,7 +396,7 @@ struct Level<'a> {
     counted: Release,
     /// The tasks of its thread: itself, and those that share the thread.
     members: Vec<usize>,
-    /// The demand of its thread, without jobs of lower ranks.
+    /// The demand of its thread, without jobs of lower ranks; for a timer of a thread that goes by ranks, none.
     own: Curve,
     /// The cost of one of its own jobs.
     cost_ns: u64,
@@ -408,7 +408,7 @@ struct Level<'a> {
     message_ns: u64,
     /// The longest section of a lower priority that nothing preempts.
     sections: u64,
-    /// As `sections`, with all else of lower priorities, or of a lower rank in its thread, that blocks it.
+    /// As `sections`, with all else of lower priorities, and of its thread's rounds, that blocks it.
     blocking: u64,
     /// The rest of a job once nothing can preempt it.
     tail: u64,
@@ -420,10 +420,8 @@ impl<'a> Level<'a> {
         let task = &core.tasks[index];
         let shared = task.group.and_then(|group| core.threads.get(&group.id));
         let members = shared.cloned().unwrap_or_else(|| vec![index]);
-        // The work of each lower rank's callbacks, one job each: callbacks of one rank are reported together.
-        let (mut blocking, mut lower_ns) = (0, BTreeMap::<u8, u64>::new());
-        let is_ranked = task.group.is_some_and(|group| group.order == Order::Priority);
-        let is_lower = |other: &Task| is_ranked && other.rank < task.rank;
+        // What each rank, and the timers, may add to a round.
+        let (mut blocking, mut ranks_ns, mut timers_ns) = (0, BTreeMap::<u8, u64>::new(), 0_u64);
         for &i in &members {
             let other = &core.tasks[i];
             if other.priority != task.priority || other.group != task.group {
@@ -431,11 +429,24 @@ impl<'a> Level<'a> {
                 return Err(AnalysisError::MixedGroup { task, other });
             }
             blocking = other.blocking_ns.max(blocking);
-            if is_lower(other) {
-                let of_rank = lower_ns.entry(other.rank).or_default();
-                *of_rank = of_rank.saturating_add(core.callbacks[i].cost_ns);
-            }
+            let jobs_ns = match other.rank {
+                Rank::Of(rank) => ranks_ns.entry(rank).or_default(),
+                Rank::Timer { .. } => &mut timers_ns,
+            };
+            *jobs_ns = jobs_ns.saturating_add(core.callbacks[i].cost_ns);
         }
+        let is_ranked = members.len() > 1 && task.group.is_some_and(|group| group.order == Order::Priority);
+        let longest_ns = |ranks: btree_map::Range<u8, u64>| ranks.map(|(_, ns)| *ns).max().unwrap_or(0);
+        // The least rank whose demand counts, and what rounds add to it: see `of_thread`.
+        let (least, rounds_ns) = match task.rank {
+            _ if !is_ranked => (Some(Rank::Of(0)), 0),
+            Rank::Of(rank) => (Some(task.rank), timers_ns.saturating_add(longest_ns(ranks_ns.range(..rank)))),
+            Rank::Timer { is_first } => {
+                let others_ns = longest_ns(ranks_ns.range(..)).saturating_mul(if is_first { 1 } else { 2 });
+                (None, timers_ns.saturating_mul(2).saturating_add(others_ns))
+            }
+        };
+        let is_own = |i: &&usize| least.is_some_and(|least| core.tasks[**i].rank >= least);
         let bands = &core.bands[..core.bands.partition_point(|(priority, ..)| *priority >= task.priority)];
         // A section delays only if it began before: at least 1 ns of it is over.
         let sections = bands.last().map_or(0, |(_, _, below_ns)| below_ns.saturating_sub(1));
@@ -443,11 +454,9 @@ impl<'a> Level<'a> {
         let is_whole =
             task.non_preemptive_ns >= task.wcet_ns && task.reservation.is_none() && task.lock_waits == 0;
         let tail = if is_whole { task.wcet_ns - 1 } else { 0 };
-        let own = members.iter().filter(|i| !is_lower(&core.tasks[**i])).map(|i| core.callbacks[*i].clone());
+        let own = members.iter().filter(is_own).map(|i| core.callbacks[*i].clone());
         let own = Curve::new(own).ok_or_else(|| overflow(task))?;
-        let blocking = u64::checked_add(blocking, sections)
-            // Jobs of a lower rank that were chosen before; none of their work need be done yet.
-            .and_then(|sum| sum.checked_add(lower_ns.into_values().max().unwrap_or(0)));
+        let blocking = u64::checked_add(blocking, sections).and_then(|sum| sum.checked_add(rounds_ns));
         let level = Self {
             core,
             task,
@@ -549,12 +558,28 @@ impl<'a> Level<'a> {
         })
     }
 
+    /// The bounds of a thread, or of one rank of a thread that goes by ranks.
+    ///
+    /// Such a thread is an executor of ROS 2. In each round it waits, then it runs one job of each timer that was due, and one of each task
+    /// of the highest rank of which any was ready. Waiting is part of the job that follows. A timer that is late has one job to run,
+    /// however many periods have passed.
+    ///
+    /// *A job of rank r.* Let t be the last instant, up to its arrival, before which no job of rank r or above was waiting or running. From
+    /// then until it ends each wait finds such a job, so no further round has a lower rank. The job that the thread runs at t is a timer's or
+    /// of a lower rank, and so no job of rank r or above was waiting when it began, at s. The thread had the core at s, so no
+    /// work above it was waiting. Of each timer one job may have been, and in this round jobs of one lower rank may be left: these are
+    /// the `blocking`. All else that the core does until the job ends is released from s on, so a busy window that begins at s
+    /// bounds the response. Lower ranks may have run in many rounds while only timers were ready, but those ended before s. If the thread runs
+    /// nothing at t, the window begins as usual, when the core last had nothing to do at this priority or above, and nothing of the thread waits.
+    ///
+    /// *A timer.* It may be due right after a wait. Of that round, at most one job of each timer and those of one rank are left; from
+    /// the begin of the one that runs, nothing above the thread waits, as before. The next round runs the timer after one job of each other
+    /// timer, and, if timers are not first, after those of one rank. What else is released in the thread waits for another round.
     fn of_thread(&self, order: Order) -> Result<Shared, AnalysisError> {
         self.check_load()?;
         let busy_ns = self.busy_window()?;
         let (arrival_ns, end_ns) = match order {
             Order::Fifo => self.first_in_first_out(busy_ns)?,
-            // No lower rank is chosen a second time before this level's busy window ends.
             Order::Any | Order::Priority => (busy_ns, busy_ns),
         };
         Ok(Shared { arrival_ns, busy_ns, end_ns, utilisation: self.utilisation_f64() })

@@ -110,5 +110,5 @@ pub use error::AnalysisError;
 pub use queue::queue_capacity;
 pub use release::{Distances, Release};
 pub use response::{Response, response_time_per_task, response_times, response_times_with_overheads};
-pub use task::{Group, Hold, Order, Overheads, Reservation, Task, Throttling};
+pub use task::{Group, Hold, Order, Overheads, Rank, Reservation, Task, Throttling};
 pub use utilisation::{hyperbolic_test, liu_layland_bound, utilisation};

@@ -37,8 +37,8 @@ pub struct Task {
     pub reservation: Option<Reservation>,
     /// The thread that this task shares with all others of the same group; `None` for a thread of its own.
     pub group: Option<Group>,
-    /// The rank among the tasks of its thread, for [`Order::Priority`]: the highest runs first.
-    pub rank: u8,
+    /// When it has its turn among the tasks of its thread, for [`Order::Priority`].
+    pub rank: Rank,
     /// Middleware work for each message, in place of [`Overheads::per_message_ns`]: `Some(0)` for a task that no
     /// message wakes, such as a timer interrupt. Used only by the analyses that take [`Overheads`].
     pub message_overhead_ns: Option<u64>,
@@ -114,8 +114,28 @@ pub enum Order {
     /// Any order that leaves no job waiting while the thread idles, such as tasks that each drain their queue.
     Any,
     /// The waiting job with the highest [rank](Task::rank), without preemption: a ROS executor to which the RMW reports the most important
-    /// message alone.
+    /// message alone, and which finds timers itself.
     Priority,
+}
+
+/// When a task has its turn in a group with [`Order::Priority`]. An executor of ROS 2 works in rounds: after each wait it runs one job of
+/// each timer that was due then, and one of each task of the highest rank of which any was ready.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Rank {
+    /// In the rounds of this rank: the highest first.
+    Of(u8),
+    /// A timer, in the first round after its release.
+    Timer {
+        /// Whether timers run before all else in a round. In an executor of rclpy with several nodes, messages of one node come before the
+        /// timers of the next.
+        is_first: bool,
+    },
+}
+
+impl Rank {
+    pub(crate) fn is_timer(self) -> bool {
+        matches!(self, Self::Timer { .. })
+    }
 }
 
 impl Task {
@@ -135,7 +155,7 @@ impl Task {
             priority,
             reservation: None,
             group: None,
-            rank: 0,
+            rank: Rank::Of(0),
             message_overhead_ns: None,
             executor_overhead_ns: 0,
             lock_waits: 0,
@@ -198,9 +218,9 @@ impl Task {
         self
     }
 
-    /// Sets the rank among the tasks of its thread, for [`Order::Priority`]: the highest runs first.
+    /// Sets when the task has its turn among the tasks of its thread, for [`Order::Priority`].
     #[must_use = "it returns the changed Task"]
-    pub fn rank(mut self, rank: u8) -> Self {
+    pub fn rank(mut self, rank: Rank) -> Self {
         self.rank = rank;
         self
     }

@@ -2,7 +2,7 @@
 //! A small simulator of a core from the critical instant on, for pictures and for tests of the bounds.
 use std::cmp::Reverse;
 
-use crate::{Order, Overheads, Task};
+use crate::{Order, Overheads, Rank, Task};
 
 /// Time that one job spent on the core without a break.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -124,7 +124,10 @@ fn admit(
     let job = timeline.jobs.len() - 1;
     let turn = match task.group.map(|group| group.order) {
         Some(Order::Any) => ((tasks.len() - i) as u64, job),
-        Some(Order::Priority) => (u64::from(u8::MAX - task.rank), job),
+        Some(Order::Priority) => match task.rank {
+            Rank::Timer { .. } => (0, job),
+            Rank::Of(rank) => (1 + u64::from(u8::MAX - rank), job),
+        },
         _ => (now, job),
     };
     Ready {

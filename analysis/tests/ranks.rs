@@ -92,6 +92,46 @@ fn the_highest_waits_for_one_job_and_the_lowest_for_all() {
     assert_eq!(bounds(&case), [Some(45), Some(45)]);
 }
 
+/// The bound of a callback, in microseconds, in a group that goes by ranks, of the nodes `m` and `n`. It also has `log`, of which two messages
+/// may be there at once.
+fn bound_beside_log(client: &str, callbacks: &str, name: &str) -> u64 {
+    let text = format!(
+        "[hosts.robot]\ncores = 1\n[nodes]\nm = {{ client = \"{client}\" }}\nn = {{ client = \"{client}\" }}\n\
+         [groups.g]\norder = \"priority\"\npriority = 40\n\
+         [topics]\nlog = {{ period = \"100us\", jitter = \"90us\" }}\nscan = {{ period = \"100us\" }}\n\
+         [callbacks]\nlog = {{ node = \"m\", group = \"g\", topic = \"log\", priority = 1, wcet = \"10us\", deadline = \"1s\" }}\n{callbacks}"
+    );
+    let file = SystemFile::parse(&text).unwrap_or_else(|error| panic!("{error}\n{text}"));
+    let checked = file.check().callbacks;
+    checked.iter().find(|of| of.entry.name == name).and_then(|of| of.response_ns).unwrap() / 1000
+}
+
+const TICK: &str = "tick = { node = \"n\", group = \"g\", period = \"20us\", wcet = \"4us\" }\n";
+
+/// Two messages of `log` are there at 0. The first round runs one of them until 10. `tick` is due just after the first wait, and again at 20. The
+/// second round runs `tick` until 14 and `log` until 24. `scan` comes just after 10, and is run by the third round, after `tick`, until 29.
+#[test]
+fn a_callback_waits_for_timers_in_two_rounds() {
+    let scan = "scan = { node = \"n\", group = \"g\", topic = \"scan\", priority = 2, wcet = \"1us\" }\n";
+    assert_eq!(bound_beside_log("rclcpp", &format!("{TICK}{scan}"), "scan"), 29 - 10);
+}
+
+/// As before, but the second round runs `tock` until 13 and `log` until 23. `tick` comes just after 10, and `tock` again at 20: it
+/// may run before `tick`, which ends at 30. The bound has another `tick` in the second round.
+#[test]
+fn a_timer_waits_for_others_in_two_rounds() {
+    let tock = "tock = { node = \"n\", group = \"g\", period = \"20us\", wcet = \"3us\" }\n";
+    assert_eq!(bound_beside_log("rclcpp", &format!("{TICK}{tock}"), "tick"), 30 - 10 + 4);
+}
+
+/// `tick` is due just after 0. In rclpy, the second round goes through `m` first: it runs `log` until 20 and `tick` until 24.
+#[test]
+fn rclpy_runs_timers_of_one_node_after_messages_of_another() {
+    assert_eq!(bound_beside_log("rclcpp", TICK, "tick"), 10 + 4 + 4);
+    assert_eq!(bound_beside_log("rclpy", &TICK.replace("\"n\"", "\"m\""), "tick"), 10 + 4 + 4);
+    assert_eq!(bound_beside_log("rclpy", TICK, "tick"), 24 + 4);
+}
+
 #[test]
 fn ranks_are_of_executors_of_ros() {
     let wrong = |from: &str, to: &str, why: &str| {
@@ -110,5 +150,9 @@ fn ranks_are_of_executors_of_ros() {
     wrong("\npriority = 40", "", "orders its callbacks by their priorities: give it a `priority`, too");
     wrong("priority = 7\n", "", "callback `g0` of group `g` has no `priority`");
     let topic = "topic = \"/t1\"\npriority = 6\n[topics.\"/t1\"]\n";
-    wrong(topic, "", "callback `g1` is a timer, which rcl runs beside the message that is reported");
+    wrong(
+        topic,
+        "priority = 6\n",
+        "callback `g1` is a timer, which the executor of group `g` runs after its next wait",
+    );
 }

@@ -9,7 +9,7 @@
 //! - triggers: `period`, several topics and publishers, topics from outside with `jitter` and `min_distance`, `depth`; late timers, which keep their newest
 //!   release; nodes that start later than others, from whose start bounds hold
 //! - joins (`all`, `window`, `policy`, `take`), by the synchronizers' own policies; `reads`, chains
-//! - groups: first in, first out, with what they take ahead; any order; by `priority`
+//! - groups: first in, first out, with what they take ahead; any order; by `priority`, with timers, also in executors of two nodes
 //! - `priority`, stated or by each policy; `overrun` with each value; `reservation` on a core or any; `non_preemptive` sections
 //! - `locks` of both protocols, several of a callback; all `[overheads]`, with `tick` and `throttling`
 //!

@@ -18,7 +18,7 @@ use super::version;
 use super::wake::{self, WakeUp};
 use super::{CallbackEntry, Client, CoreEntry, JoinPolicy, OverrunPolicy, SystemFile, TopicEntry};
 use crate::system::{Callback, Chain, Core, Matching, Part, Relay, System, Transfer};
-use crate::{Hold, Order, Overheads, Release, Task, Throttling};
+use crate::{Hold, Order, Overheads, Rank, Release, Task, Throttling};
 
 pub(super) fn build(text: &str) -> Result<SystemFile, Problems> {
     let problems = Collector::new(text);
@@ -229,7 +229,10 @@ impl Builder<'_> {
             let order =
                 self.threads[thread].group.map_or(crate::Order::Any, |group| self.order(thread, group));
             task = task.group(u32::try_from(thread).unwrap_or(u32::MAX), order);
-            task = task.rank(self.rank(index, thread).unwrap_or(0));
+            if order == Order::Priority {
+                let timer = Rank::Timer { is_first: self.runs_timers_first(thread) };
+                task = task.rank(self.rank(index, thread).map_or(timer, Rank::Of));
+            }
         }
         Callback { trigger, ..Callback::new(task, place.core) }
     }
@@ -246,11 +249,18 @@ impl Builder<'_> {
         }
     }
 
-    /// The rank of a callback in a thread that runs the highest first.
+    /// The rank of a callback in a thread that runs the highest first; a timer has none.
     fn rank(&self, index: usize, thread: usize) -> Option<u8> {
         let callback = &self.file.callbacks[index];
         let group = self.threads[thread].group.map(|group| &self.file.groups[group])?;
-        group.is_ranked().then_some(callback.priority.as_ref().map_or(0, |priority| priority.value))
+        callback.priority.as_ref().map(|priority| priority.value).filter(|_| group.is_ranked())
+    }
+
+    /// Whether each round of a ROS executor begins with the timers: rclpy's goes through its nodes one after the other.
+    fn runs_timers_first(&self, thread: usize) -> bool {
+        let nodes: BTreeSet<usize> =
+            self.threads[thread].callbacks.iter().map(|i| self.places[*i].node).collect();
+        nodes.len() == 1 || nodes.iter().all(|node| self.file.nodes[*node].client == Client::Rclcpp)
     }
 
     /// Returns a group's order. ROS 2's executors poll in rounds, unless the RMW sorts, and a join drains its queues: neither keeps one.
@@ -519,15 +529,15 @@ fn orders(file: &Declared, places: &[Option<Place>], threads: &[Thread], problem
         }
         for callback in thread.callbacks.iter().map(|i| &file.callbacks[*i]).filter(|_| group.is_ranked()) {
             let of = &callback.name;
-            if callback.topics.is_empty() {
-                problems.at(callback.at).add(format!(
-                    "callback `{of}` is a timer, which rcl runs beside the message that is reported: give it an \
-                     executor of its own"
-                ));
-            } else if callback.priority.is_none() {
-                problems.at(callback.at).add(format!(
+            match &callback.priority {
+                Some(priority) if callback.topics.is_empty() => problems.at(priority.at).add(format!(
+                    "callback `{of}` is a timer, which the executor of group `{name}` runs after its next wait, whatever \
+                     is reported: leave out its `priority`"
+                )),
+                None if !callback.topics.is_empty() => problems.at(callback.at).add(format!(
                     "callback `{of}` of group `{name}` has no `priority`, by which the group's callbacks are ordered"
-                ));
+                )),
+                _ => {}
             }
         }
     }

@@ -82,7 +82,7 @@ pub struct CallbackEntry {
     pub priority: u8,
     /// Who wakes its thread.
     pub wake_up: WakeUp,
-    /// Its rank in a group with `order = "priority"`: the highest of the waiting callbacks runs next.
+    /// Its rank in a group with `order = "priority"`: the highest of the waiting callbacks runs next. Timers have none.
     pub rank: Option<u8>,
     /// What the kernel reserves for the thread, if it runs under SCHED_DEADLINE.
     pub reservation: Option<Reservation>,

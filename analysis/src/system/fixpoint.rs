@@ -176,7 +176,10 @@ fn firsts(system: &System, tasks: &[Task], order: &[usize]) -> Vec<Option<Lead>>
             let from = &tasks[source];
             let is_ranked = from.group.is_some_and(|group| group.order == Order::Priority);
             let is_above = match from.priority.cmp(&task.priority) {
-                Ordering::Equal if is_ranked => from.group == task.group && from.rank >= task.rank,
+                // A busy window of a rank may begin with jobs of timers that were released before it.
+                Ordering::Equal if is_ranked => {
+                    from.group == task.group && from.rank >= task.rank && !from.rank.is_timer()
+                }
                 order => order.is_ge(),
             };
             if system.callbacks[source].core == to.core && is_above && !from.is_held() && !task.is_held() {

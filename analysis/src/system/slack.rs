@@ -200,7 +200,10 @@ impl Slack {
         let (own, other) = (&self.solved.tasks[k], &self.solved.tasks[j]);
         let is_own = j == k || (own.group.is_some() && own.group == other.group);
         if is_own {
-            return other.release().min_distance(0).most_within(response.busy_ns);
+            // Beside what is released, a window may begin with a job of each timer, and a timer's has two rounds.
+            let has_timer = own.rank.is_timer() || other.rank.is_timer();
+            let released = other.release().min_distance(0).most_within(response.busy_ns);
+            return released.saturating_add(has_timer.into());
         }
         if other.reservation.is_some() {
             return 0;

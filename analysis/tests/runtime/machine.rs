@@ -4,6 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use rand::rngs::StdRng;
+use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 
 use super::made_up::{Budget, Callback, Matching, Model, Order, group_priority, longer};
@@ -252,7 +253,7 @@ struct Thread {
     job: Option<Job>,
     /// The lock that it waits for.
     blocked_on: Option<usize>,
-    /// In the order of ranks, callbacks and topics whose messages were reported together and are still to be taken.
+    /// In the order of ranks, callbacks and topics of timers that were due and messages that were reported together, and are still to be taken.
     round: Vec<(usize, usize)>,
     is_over: bool,
     /// Jobs that arrived up to then run below all others, after one that was demoted.
@@ -846,15 +847,21 @@ impl Machine<'_> {
             }
             // A set is passed on by what takes its last message.
             Some(Order::Rank) if !queue[0].set.is_empty() => return 0,
-            // An executor of ROS 2 takes one message of each subscription that was reported, in the order of their creation.
+            // An executor of ROS 2 runs the timers that were due at its wait, and takes one message of each subscription that was reported, in the
+            // order of their creation. That of rclpy does so for one node after the other.
             Some(Order::Rank) => {
                 let of = |message: &Message| (message.callback, message.topic);
                 thread.round.retain(|one| queue.iter().any(|message| of(message) == *one));
                 if thread.round.is_empty() {
                     let rank = |message: &Message| model.callbacks[message.callback].priority;
-                    let highest = queue.iter().map(rank).max();
-                    let reported = queue.iter().filter(|message| Some(rank(message)) == highest);
-                    thread.round = BTreeSet::from_iter(reported.map(of)).into_iter().collect();
+                    let is_due = |message: &&Message| is_timer(model, message.callback);
+                    let (due, ready): (Vec<&Message>, Vec<&Message>) = queue.iter().partition(is_due);
+                    let highest = ready.iter().map(|message| rank(message)).max();
+                    let reported = ready.into_iter().filter(|message| Some(rank(message)) == highest);
+                    thread.round = due.into_iter().map(of).collect();
+                    thread.round.shuffle(&mut self.rng);
+                    thread.round.extend(BTreeSet::from_iter(reported.map(of)));
+                    thread.round.sort_by_key(|(i, _)| (model.is_of_second_node(*i), !is_timer(model, *i)));
                 }
                 let next = thread.round.remove(0);
                 return first(queue, &mut self.rng, |message| of(message) == next);

@@ -95,14 +95,18 @@ pub struct Model {
     pub throttling: Option<(u64, u64)>,
     /// For how long each core may stand still.
     pub stall: u64,
-    /// What an executor of rclcpp uses for each job; none on cores of Tautline's nodes.
+    /// What an executor of ROS 2 uses for each job; none on cores of Tautline's nodes.
     pub executors: Vec<Option<u64>>,
+    /// Whether executors of rclpy have two nodes, of which each has every other callback.
+    pub has_two_nodes: bool,
     pub network: (u64, u64),
     pub is_ceiling: bool,
     /// Who chooses priorities, if the file states none.
     pub policy: Option<&'static str>,
 }
 
+/// Whose executors run the callbacks of each core, by turns, if any do.
+const CLIENTS: [&str; 2] = ["rclcpp", "rclpy"];
 /// The depth of queues that the file states.
 const DEPTH: usize = 3;
 
@@ -140,6 +144,7 @@ impl Model {
             }),
             stall: if rng.random_bool(0.15) { rng.random_range(1..150) } else { 0 },
             executors,
+            has_two_nodes: rng.random_bool(0.5),
             network: if rng.random_bool(0.5) { (2, 2 + rng.random_range(0..60)) } else { (3, 3) },
             is_ceiling: rng.random_bool(0.5),
             policy: rng
@@ -188,7 +193,8 @@ impl Model {
             (slowest as f64 * share * rng.random_range(0.2..1.6)).round().clamp(1.0, slowest as f64) as u64;
         let is_ranked = self.groups[core] == Order::Rank;
         let in_group = rng.random_bool(if is_ranked { 0.7 } else { 0.25 });
-        let is_outside = triggers.is_empty() && (rng.random_bool(0.4) || is_ranked && in_group);
+        let is_outside =
+            triggers.is_empty() && rng.random_bool(if is_ranked && in_group { 0.6 } else { 0.4 });
         let join = waits.then(|| {
             let window = rng.random_range(1..=slowest * 2);
             let from_one = triggers.windows(2).all(|pair| self.source(pair[0]) == self.source(pair[1]));
@@ -270,7 +276,8 @@ impl Model {
         let features = [
             ("demotion", has(&|c| c.budget.demotes())),
             ("joins", has(&|c| c.join.is_some())),
-            ("ranks", has(&|c| c.group.is_some_and(|group| self.groups[group] == Order::Rank))),
+            ("ranks", has(&|c| self.is_ranked(c))),
+            ("ranks and timers", has(&|c| self.is_ranked(c) && c.triggers.is_empty() && !c.is_outside)),
             ("suspension", has(&|c| c.budget == Budget::Suspend)),
             ("reservations", has(&|c| matches!(c.budget, Budget::Reserved(..)))),
             ("floating", self.floats && has(&|c| matches!(c.budget, Budget::Reserved(..)))),
@@ -286,6 +293,16 @@ impl Model {
             ("rclcpp", self.executors.iter().any(Option::is_some)),
         ];
         features.into_iter().filter(|(_, has)| *has).map(|(name, _)| name).collect()
+    }
+
+    fn is_ranked(&self, callback: &Callback) -> bool {
+        callback.group.is_some_and(|group| self.groups[group] == Order::Rank)
+    }
+
+    /// Whether a callback is of the second node of an executor of rclpy.
+    pub fn is_of_second_node(&self, i: usize) -> bool {
+        let core = self.callbacks[i].core;
+        self.has_two_nodes && self.executors[core].is_some() && CLIENTS[core % 2] == "rclpy" && i % 2 == 1
     }
 
     /// The shortest period with which a callback is released.
@@ -368,10 +385,9 @@ impl Model {
             writeln!(text, "[hosts.h1.overheads]\n{}", costs(1)).unwrap();
         }
         let executor = self.executors.iter().flatten().next().unwrap_or(&0);
-        let clients = ["rclcpp", "rclpy"];
         writeln!(text, "[overheads]\n{}", costs(0)).unwrap();
         writeln!(text, "context_switch = \"{}us\"\ndemotion = \"{}us\"", self.switch, self.demotion).unwrap();
-        clients.iter().for_each(|client| writeln!(text, "{client} = \"{executor}us\"").unwrap());
+        CLIENTS.iter().for_each(|client| writeln!(text, "{client} = \"{executor}us\"").unwrap());
         if let Some((period, runtime)) = self.throttling {
             writeln!(text, "throttling = {{ period = \"{period}us\", runtime = \"{runtime}us\" }}").unwrap();
         }
@@ -380,9 +396,11 @@ impl Model {
         }
         for (core, host) in self.hosts.iter().enumerate() {
             let number = self.hosts[..core].iter().filter(|other| *other == host).count();
-            writeln!(text, "[nodes.n{core}]\nhost = \"h{host}\"\ncore = {number}").unwrap();
-            if self.executors[core].is_some() {
-                writeln!(text, "client = \"{}\"", clients[core % 2]).unwrap();
+            for node in &["n", "second"][..if self.has_two_nodes { 2 } else { 1 }] {
+                writeln!(text, "[nodes.{node}{core}]\nhost = \"h{host}\"\ncore = {number}").unwrap();
+                if self.executors[core].is_some() {
+                    writeln!(text, "client = \"{}\"", CLIENTS[core % 2]).unwrap();
+                }
             }
         }
         for (group, order) in self.groups.iter().enumerate() {
@@ -416,7 +434,8 @@ impl Model {
         }
         for (i, callback) in self.callbacks.iter().enumerate() {
             let Callback { core, period, jitter, min_distance, wcet, bcet, priority, .. } = callback;
-            writeln!(text, "[callbacks.c{i}]\nnode = \"n{core}\"\nwcet = \"{wcet}us\"\nbcet = \"{bcet}us\"\ndeadline = \"1s\"").unwrap();
+            let node = if self.is_of_second_node(i) { "second" } else { "n" };
+            writeln!(text, "[callbacks.c{i}]\nnode = \"{node}{core}\"\nwcet = \"{wcet}us\"\nbcet = \"{bcet}us\"\ndeadline = \"1s\"").unwrap();
             let topics: Vec<_> = callback.triggers.iter().map(|from| format!("\"t{from}\"")).collect();
             match (topics.is_empty(), callback.is_outside) {
                 (false, _) if callback.join.is_some() => {
@@ -443,7 +462,8 @@ impl Model {
                     Matching::LatestTime => writeln!(text, "policy = \"latest_time\"").unwrap(),
                 }
             }
-            let is_ranked = callback.group.is_some_and(|group| self.groups[group] == Order::Rank);
+            let is_timer = callback.triggers.is_empty() && !callback.is_outside;
+            let has_priority = if self.is_ranked(callback) { !is_timer } else { self.policy.is_none() };
             match (callback.budget, callback.group) {
                 (Budget::Reserved(runtime, period), _) => {
                     writeln!(text, "reservation = {{ runtime = \"{runtime}us\", period = \"{period}us\" }}")
@@ -452,10 +472,10 @@ impl Model {
                         writeln!(text, "core = \"any\"").unwrap();
                     }
                 }
-                (_, Some(group)) if self.policy.is_some() && !is_ranked => {
-                    writeln!(text, "group = \"g{group}\"").unwrap();
+                (_, Some(group)) if has_priority => {
+                    writeln!(text, "priority = {priority}\ngroup = \"g{group}\"").unwrap();
                 }
-                (_, Some(group)) => writeln!(text, "priority = {priority}\ngroup = \"g{group}\"").unwrap(),
+                (_, Some(group)) => writeln!(text, "group = \"g{group}\"").unwrap(),
                 _ if self.policy.is_some() => {}
                 _ => writeln!(text, "priority = {priority}\nshares_priority = true").unwrap(),
             }

@@ -65,6 +65,7 @@ pub fn sensors(rng: &mut StdRng, most: u8, from_one: bool) -> Model {
         throttling: None,
         stall: 0,
         executors: vec![None; 2],
+        has_two_nodes: false,
         network: (0, 0),
         is_ceiling: false,
         policy: None,
