@@ -87,9 +87,11 @@ pub fn semver(is_made: bool) -> Outcome {
             return Outcome::Failed(reason);
         }
     }
-    // It leaves out crates with `publish = false`. Not all features: LTTng's is a library of the host's.
+    // It leaves out crates with `publish = false`. The library of `taut` is for the programs beside it, which demand its version. Not all features:
+    // LTTng's is a library of the host's.
     let mut command = Command::new("cargo");
-    command.args(["semver-checks", "--workspace", "--default-features", "--baseline-rev", &tag]);
+    command.args(["semver-checks", "--workspace", "--exclude", "taut"]);
+    command.args(["--default-features", "--baseline-rev", &tag]);
     let path = std::env::var_os("PATH").unwrap_or_default();
     let path = std::iter::once(root.join("bin")).chain(std::env::split_paths(&path));
     command.envs(std::env::join_paths(path).map(|path| ("PATH", path)));
@@ -198,7 +200,9 @@ fn versions(manifest: &str) -> impl Iterator<Item = &str> {
         let line = line.trim();
         let is_own = line.starts_with("version = \"") || line.contains("{ path = \"");
         let (from, end) = if is_own { ("version = \"", '"') } else { ("<version>", '<') };
-        Some(line.split_once(from)?.1.split_once(end)?.0)
+        let version = line.split_once(from)?.1.split_once(end)?.0;
+        // The requirement of exactly this one.
+        Some(version.trim_start_matches('='))
     })
 }
 
@@ -249,12 +253,20 @@ mod tests {
     #[test]
     fn versions_of_other_packages_are_none_of_ours() {
         let manifest = "[package]\nversion = \"0.1.0\"\nrust-version = \"1.89\"\n[dependencies]\nserde = { version = \"1\" }\n\
-                        tautline = { path = \"../node\", version = \"0.2.0\" }\ntaut = { path = \"cli\" }\n";
-        assert_eq!(versions(manifest).collect::<Vec<_>>(), ["0.1.0", "0.2.0"]);
+                        tautline = { path = \"../node\", version = \"0.2.0\" }\ntaut = { path = \"cli\" }\n\
+                        taut = { path = \"cli\", version = \"=0.3.0\" }\n";
+        assert_eq!(versions(manifest).collect::<Vec<_>>(), ["0.1.0", "0.2.0", "0.3.0"]);
         assert_eq!(
             versions("<package format=\"3\">\n  <version>0.3.0</version>\n").collect::<Vec<_>>(),
             ["0.3.0"]
         );
+    }
+
+    /// Cargo takes the newest of those that a requirement allows.
+    #[test]
+    fn programs_beside_taut_take_no_later_library_of_it() {
+        let exactly = format!("\ntaut = {{ path = \"cli\", version = \"={VERSION}\" }}\n");
+        assert!(read("Cargo.toml").unwrap().contains(&exactly), "{exactly}");
     }
 
     #[test]
