@@ -10,15 +10,29 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-/// What a user begins with.
+/// What a user begins with, with types of its own, and something of each of the other libraries.
 const PROGRAM: &str = r#"
+use demo_msgs::msg::Speed;
 use tautline::{Context, Node, Qos, geometry_msgs::msg::Twist};
 
+tautline::msgs::include_packages!();
+
 fn main() -> tautline::Result<()> {
-    let mut node = Node::create(Context::create()?, "drive", "")?;
+    let context = Context::create()?;
+    let mut node = Node::create(context.clone(), "drive", "")?;
+    let speeds = node.create_publisher::<Speed>("/speed", tautline_r2r::QosProfile::default().into())?;
+    speeds.publish(&Speed { value: 0.5 })?;
+    let _container = tautline_components::Container::new(context);
     let publisher = node.create_publisher::<Twist>("/cmd_vel", Qos::default())?;
     publisher.publish(&Twist::default())?;
     Ok(())
+}
+"#;
+
+/// Generates its types, with `tautline-gen`.
+const BUILD: &str = r#"
+fn main() -> Result<(), tautline_build::Error> {
+    tautline_build::packages("msgs")
 }
 "#;
 
@@ -94,12 +108,27 @@ fn unpack(crates: &Path, to: &Path) -> Result<(), String> {
 
 /// [`PROGRAM`] in a workspace, whose manifest ends so, with one more dependency.
 fn write_program(work: &Path, end: &str, dependency: &str) -> Result<(), String> {
-    let package = "[package]\nname = \"program\"\nedition = \"2024\"\n[dependencies]\ntautline";
+    let manifest = format!(
+        r#"[package]
+name = "program"
+edition = "2024"
+
+[build-dependencies]
+tautline-build = "{VERSION}"
+
+[dependencies]
+tautline = "{VERSION}"
+tautline-components = "{VERSION}"
+tautline-r2r = "{VERSION}"
+{dependency}"#
+    );
     write(
         &work.join("Cargo.toml"),
         &format!("[workspace]\nmembers = [\"program\"]\nresolver = \"3\"\n{end}"),
     )?;
-    write(&work.join("program/Cargo.toml"), &format!("{package} = \"{VERSION}\"\n{dependency}"))?;
+    write(&work.join("program/Cargo.toml"), &manifest)?;
+    write(&work.join("program/msgs/demo_msgs/msg/Speed.msg"), "float64 value\n")?;
+    write(&work.join("program/build.rs"), BUILD)?;
     write(&work.join("program/src/main.rs"), PROGRAM)
 }
 
