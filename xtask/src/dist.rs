@@ -50,6 +50,10 @@ const GLIBC: &str = "GLIBC_";
 const NEWEST_GLIBC: Version = (2, 35);
 type Version = (u32, u32);
 
+/// Where this or an older one is installed, the tests' build, too, has no use for symbols that are newer than [`NEWEST`]: neither its C library nor its
+/// compilers ask for them by themselves.
+const DEBIAN_12_GLIBC: Version = (2, 36);
+
 /// Gives what Rust's standard library asks for only weakly, and glibc has from 2.39 on, the address that says it is missing: the linker of a system
 /// that has it would demand that glibc. In rmw_tautline nothing asks for it.
 const OLD_GLIBC: &str = "-Clink-arg=-Wl,--defsym=pidfd_spawnp=0,--defsym=pidfd_getpid=0";
@@ -267,12 +271,14 @@ impl Dist {
         }
     }
 
-    /// The newest glibc that these files need. What the tests make stays on this machine; of a release none may need more than [`NEWEST`].
+    /// The newest glibc that these files need. None may need more than [`NEWEST`], unless it is the tests' and this machine is newer: what they make
+    /// stays here.
     fn glibc(&self, files: &[PathBuf]) -> Result<Version, String> {
+        let is_held = self.of == Build::Release || installed_glibc().is_some_and(|of| of <= DEBIAN_12_GLIBC);
         let mut newest = (2, 17);
         for file in files {
             let table = stdout_of(Command::new(self.architecture.tool("objdump")).arg("-T").arg(file))?;
-            if self.of == Build::Release {
+            if is_held {
                 refuse_newer(&table).map_err(|reason| format!("{} {reason}", file.display()))?;
             }
             newest = needed(&table, GLIBC).map(|(version, _)| version).fold(newest, Version::max);
@@ -426,6 +432,12 @@ fn tools() -> PathBuf {
     machine::target_dir().join("dist-tools")
 }
 
+fn installed_glibc() -> Option<Version> {
+    let said = stdout_of(Command::new("getconf").arg("GNU_LIBC_VERSION")).ok()?;
+    let (major, minor) = said.trim().strip_prefix("glibc ")?.split_once('.')?;
+    Some((major.parse().ok()?, minor.parse().ok()?))
+}
+
 /// An error says which symbol of this table is newer than [`NEWEST`].
 fn refuse_newer(table: &str) -> Result<(), String> {
     for (begin, most) in NEWEST {
@@ -507,6 +519,27 @@ mod tests {
                 refusal.starts_with(&format!("needs f of {version}, and {most} is the newest allowed")),
                 "{refusal}"
             );
+        }
+    }
+
+    #[test]
+    fn binstall_finds_the_programs_in_the_tarball() {
+        let read = |file: &str| fs::read_to_string(machine::root().join(file)).unwrap();
+        let pack = read("xtask/src/dist/pack.sh");
+        let folder = pack.lines().find_map(|line| line.trim().strip_prefix("folder=tautline-")).unwrap();
+        assert!(
+            pack.contains("archive \"$OUT/$folder.tar.gz\" ") && pack.contains("\"$files/bin/$program\"")
+        );
+        let target = "$MACHINE-unknown-linux-gnu";
+        let folder = folder.replace("$VERSION", "{ version }").replace(target, "{ target }");
+        let lines = format!(
+            "[package.metadata.binstall]\npkg-url = \"{{ repo }}/releases/download/v{{ version }}/tautline-{folder}.tar.gz\"\nbin-dir = \"tautline-{folder}/bin/{{ bin }}\"\n"
+        );
+        let folders = ["cli", "cli/bag", "cli/top", "cli/filter", "transport/zenoh"];
+        for (folder, package) in folders.iter().zip(PACKAGES) {
+            let manifest = read(&format!("{folder}/Cargo.toml"));
+            assert!(manifest.contains(&format!("name = \"{package}\"\n")), "{package}");
+            assert!(manifest.contains(&lines), "{package}: {lines}");
         }
     }
 
