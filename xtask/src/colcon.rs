@@ -22,6 +22,16 @@ assert prefix == os.path.join(os.getcwd(), 'install', 'rmw_tautline'), prefix
 assert 'rosidl_typesupport_fastrtps_cpp' in support.split(';'), support
 ";
 
+/// As bloom reads manifests.
+const VALID: &str = "
+import sys
+from catkin_pkg.package import parse_package
+warnings = []
+for manifest in sys.argv[1:]:
+    parse_package(manifest, warnings=warnings)
+assert not warnings, warnings
+";
+
 /// With the library that the tests have built: cargo finds nothing to do.
 pub fn test(steps: &mut Steps, environment: &Environment) {
     const NAME: &str = "rmw: colcon package";
@@ -73,6 +83,8 @@ fn check(workspace: &Path, command: impl Fn(&str) -> Command) -> Result<(), Stri
             return Err(format!("colcon finds {found:?} {}", String::from_utf8_lossy(&output.stderr)));
         }
     }
+    let manifests = ["rmw", "examples/rclcpp"].map(|folder| machine::root().join(folder).join("package.xml"));
+    execute(command("python3").args(["-c", VALID]).args(manifests))?;
     let colcon = |verb: &str| {
         let mut colcon = command("colcon");
         // Not the example, which needs rclcpp.
