@@ -126,12 +126,16 @@ fn run(page: &str, packages: &Path) -> Result<(), String> {
         .and_then(|()| fs::write(bare.join("script"), script))
         .and_then(|()| fs::write(work.join("constraints"), constraints))
         .map_err(|error| format!("{}: {error}", bare.display()))?;
+    // As the pages say, beside what this machine's own setting says.
+    let mut links = std::env::var_os("PIP_FIND_LINKS").unwrap_or_default();
+    links.push(" /home/robot/target/dist/pypi");
     let mut command = Command::new("timeout");
     command.args(["300", "sh", "-eu"]).arg(root.join("xtask/src/pages/bare.sh")).arg(bare.join("script"));
     command.env("BARE", &bare).env("PACKAGES", packages).env("PYTHON", ros::python()?);
     command
         .env("VERSION", env!("CARGO_PKG_VERSION"))
         .env("PIP_QUIET", "1")
+        .env("PIP_FIND_LINKS", links)
         .env("PIP_CONSTRAINT", "/home/robot/target/dist/work/constraints");
     // ROS 2's wheels have been downloaded before.
     let cache = std::env::home_dir().map(|home| ("PIP_CACHE_DIR", home.join(".cache/pip")));
@@ -236,5 +240,18 @@ fn main() {}
         let root = machine::root();
         let of = |page: &str| faults(page, &fs::read_to_string(root.join(page)).unwrap());
         assert_eq!(PAGES.map(of).concat(), Vec::<String>::new());
+    }
+
+    /// They are read on PyPI and crates.io, too.
+    #[test]
+    fn no_page_takes_from_a_checkout_what_is_published() {
+        for page in PAGES {
+            let text = fs::read_to_string(machine::root().join(page)).unwrap();
+            for Block { line, text, .. } in blocks(&text) {
+                for source in ["--find-links", "--git ", "git = "] {
+                    assert!(!text.contains(source), "{page}:{line}: {source}");
+                }
+            }
+        }
     }
 }

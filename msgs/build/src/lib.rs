@@ -32,8 +32,7 @@
 //! | of an installed ROS 2 (`AMENT_PREFIX_PATH`) | generated as well, as far as they are needed |
 //!
 //! The cargo features of the bundled packages that are needed must be on: those of fields, `service_msgs` for services,
-//! `service_msgs` and `unique_identifier_msgs` for actions, as in
-//! `tautline = { git = "https://github.com/tautline/tautline", features = ["service_msgs"] }`.
+//! `service_msgs` and `unique_identifier_msgs` for actions, as in `tautline = { version = "0.1", features = ["service_msgs"] }`.
 //!
 //! A definition that is wrong fails the build with its file, line and column. Cargo builds again when a
 //! definition changes or a new one appears.
