@@ -264,13 +264,12 @@ fn a_definition_comes_with_the_topic() {
 
 /// The type is derived, and ROS has no fields of this name, so no definition of it exists anywhere.
 #[test]
-#[allow(non_snake_case)]
 fn without_a_definition_there_are_still_the_bytes() {
     #[derive(Message, Clone, Copy, Debug, PartialEq)]
     #[message(name = "test_msgs/msg/Number")]
     #[repr(C)]
     struct Number {
-        Value: i64,
+        _value: i64,
     }
     let mut node = node();
     let publisher = node.create_publisher::<Number>("/number", qos()).unwrap();
@@ -279,14 +278,14 @@ fn without_a_definition_there_are_still_the_bytes() {
     assert!(error.to_string().contains("has no hash"), "{error}");
     let mut raw = node.subscribe_raw("/number", "test_msgs/msg/Number", qos()).unwrap().owned();
     let mut typed = node.subscribe::<Number>("/number", qos()).unwrap().owned();
-    publisher.publish(&Number { Value: 3 }).unwrap();
+    publisher.publish(&Number { _value: 3 }).unwrap();
     let bytes = drain(&mut raw);
     assert_eq!(bytes, [[0, 1, 0, 0, 3, 0, 0, 0, 0, 0, 0, 0]]);
     publisher.publish_raw(&bytes[0]).unwrap();
     publisher.publish_raw(&[0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 4]).unwrap();
     let error = publisher.publish_raw(&bytes[0][..11]).unwrap_err().to_string();
     assert!(error.contains("test_msgs/msg/Number"), "{error}");
-    assert_eq!(drain(&mut typed), [3, 3, 4].map(|n| Number { Value: n }));
+    assert_eq!(drain(&mut typed), [3, 3, 4].map(|n| Number { _value: n }));
 }
 
 #[test]
