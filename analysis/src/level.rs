@@ -435,12 +435,22 @@ impl<'a> Level<'a> {
             };
             *jobs_ns = jobs_ns.saturating_add(core.callbacks[i].cost_ns);
         }
-        let is_ranked = members.len() > 1 && task.group.is_some_and(|group| group.order == Order::Priority);
+        // Another thread of this priority may have waited during many rounds: no window begins with what is left of one.
+        let is_alone =
+            || core.tasks.iter().filter(|other| other.priority == task.priority).count() == members.len();
+        // Joins that may run several times in a round count as often as they are released, as does what is above them; beside a timer, so does all.
+        let repeated = members.iter().map(|i| &core.tasks[*i]).filter(|other| other.repeats);
+        let repeated = repeated.map(|other| other.rank).min();
+        let is_ranked = members.len() > 1
+            && task.group.is_some_and(|group| group.order == Order::Priority)
+            && is_alone()
+            && !(task.rank.is_timer() && repeated.is_some());
+        let rank = repeated.unwrap_or(task.rank).min(task.rank);
         let longest_ns = |ranks: btree_map::Range<u8, u64>| ranks.map(|(_, ns)| *ns).max().unwrap_or(0);
         // The least rank whose demand counts, and what rounds add to it: see `of_thread`.
-        let (least, rounds_ns) = match task.rank {
+        let (least, rounds_ns) = match rank {
             _ if !is_ranked => (Some(Rank::Of(0)), 0),
-            Rank::Of(rank) => (Some(task.rank), timers_ns.saturating_add(longest_ns(ranks_ns.range(..rank)))),
+            Rank::Of(of) => (Some(rank), timers_ns.saturating_add(longest_ns(ranks_ns.range(..of)))),
             Rank::Timer { is_first } => {
                 let others_ns = longest_ns(ranks_ns.range(..)).saturating_mul(if is_first { 1 } else { 2 });
                 (None, timers_ns.saturating_mul(2).saturating_add(others_ns))
@@ -571,6 +581,7 @@ impl<'a> Level<'a> {
     /// the `blocking`. All else that the core does until the job ends is released from s on, so a busy window that begins at s
     /// bounds the response. Lower ranks may have run in many rounds while only timers were ready, but those ended before s. If the thread runs
     /// nothing at t, the window begins as usual, when the core last had nothing to do at this priority or above, and nothing of the thread waits.
+    /// If a join of a lower rank may make several sets in a round, the window is that of the join's rank, in which all above it end, too.
     ///
     /// *A timer.* It may be due right after a wait. Of that round, at most one job of each timer and those of one rank are left; from
     /// the begin of the one that runs, nothing above the thread waits, as before. The next round runs the timer after one job of each other

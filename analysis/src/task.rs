@@ -39,6 +39,9 @@ pub struct Task {
     pub group: Option<Group>,
     /// When it has its turn among the tasks of its thread, for [`Order::Priority`].
     pub rank: Rank,
+    /// Whether one round of a thread that goes by ranks may run it several times: a join by stamps makes sets of what it took in earlier
+    /// rounds, too.
+    pub repeats: bool,
     /// Middleware work for each message, in place of [`Overheads::per_message_ns`]: `Some(0)` for a task that no
     /// message wakes, such as a timer interrupt. Used only by the analyses that take [`Overheads`].
     pub message_overhead_ns: Option<u64>,
@@ -156,6 +159,7 @@ impl Task {
             reservation: None,
             group: None,
             rank: Rank::Of(0),
+            repeats: false,
             message_overhead_ns: None,
             executor_overhead_ns: 0,
             lock_waits: 0,

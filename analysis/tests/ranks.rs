@@ -106,6 +106,28 @@ fn bound_beside_log(client: &str, callbacks: &str, name: &str) -> u64 {
     checked.iter().find(|of| of.entry.name == name).and_then(|of| of.response_ns).unwrap() / 1000
 }
 
+/// Five messages of `burst` are there at 0, which the executor runs until 50. Those of `other` come just after 0, 10, ... to a thread of the same priority: it
+/// has five at 50, and catches up at 74. `scan` comes just after 50 and is run until 75.
+#[test]
+fn a_thread_of_the_same_priority_may_have_waited_for_lower_ranks() {
+    let more = "burst = { node = \"m\", group = \"g\", topic = \"burst\", priority = 2, wcet = \"10us\", deadline = \"1s\" }\n\
+                other = { node = \"o\", topic = \"other\", priority = 40, wcet = \"3us\", deadline = \"1s\", shares_priority = true }\n\
+                scan = { node = \"n\", group = \"g\", topic = \"scan\", priority = 3, wcet = \"1us\", shares_priority = true }\n\
+                [topics.other]\nperiod = \"10us\"\n[topics.burst]\nperiod = \"100us\"\njitter = \"400us\"\n[nodes.o]\n";
+    assert!(bound_beside_log("rclcpp", more, "scan") >= 75 - 50);
+}
+
+/// `fuse` has taken messages of both topics, stamped 0 and 5, when two more, both stamped 100, are found by a wait at 100. The first of them shows that
+/// nothing fits the old ones better, and the second completes a set of its own: after two takes and two sets, at 122, `scan` is run, which came just after
+/// the wait.
+#[test]
+fn a_join_makes_two_sets_in_a_round() {
+    let more = "fuse = { node = \"n\", group = \"g\", all = [\"a\", \"b\"], window = \"10us\", take = \"1us\", priority = 2, wcet = \"10us\" }\n\
+                scan = { node = \"n\", group = \"g\", topic = \"scan\", priority = 3, wcet = \"1us\" }\n\
+                [topics.a]\nperiod = \"100us\"\n[topics.b]\nperiod = \"100us\"\njitter = \"5us\"\n";
+    assert!(bound_beside_log("rclcpp", more, "scan") >= 123 - 100);
+}
+
 const TICK: &str = "tick = { node = \"n\", group = \"g\", period = \"20us\", wcet = \"4us\" }\n";
 
 /// Two messages of `log` are there at 0. The first round runs one of them until 10. `tick` is due just after the first wait, and again at 20. The

@@ -93,7 +93,9 @@ impl Builder<'_> {
                 };
                 let inputs = (tasks.start + 1..tasks.end).collect();
                 let ports = self.streams.topics(i).to_vec();
-                callbacks.push(self.callback(i, Source::All).joining_ports(inputs, ports, matching));
+                let mut joined = self.callback(i, Source::All).joining_ports(inputs, ports, matching);
+                joined.task.repeats = !matching.is_newest();
+                callbacks.push(joined);
             }
             for (&source, topic) in self.streams.sources(i).iter().zip(self.streams.topics(i)) {
                 let mut callback = self.callback(i, source);

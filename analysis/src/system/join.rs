@@ -108,7 +108,7 @@ pub enum Matching {
 
 impl Matching {
     /// Whether a set has the newest of each input, whatever the stamps.
-    pub(super) fn is_newest(self) -> bool {
+    pub(crate) fn is_newest(self) -> bool {
         matches!(self, Matching::Newest | Matching::NewestTaken)
     }
 }

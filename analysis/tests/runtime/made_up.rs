@@ -479,6 +479,9 @@ impl Model {
                 _ if self.policy.is_some() => {}
                 _ => writeln!(text, "priority = {priority}\nshares_priority = true").unwrap(),
             }
+            if callback.group.is_some() {
+                writeln!(text, "shares_priority = true").unwrap();
+            }
             match callback.budget {
                 Budget::Demote => writeln!(text, "overrun = \"demote\"").unwrap(),
                 Budget::End => writeln!(text, "overrun = \"end\"").unwrap(),
@@ -508,9 +511,9 @@ impl Model {
     }
 }
 
-/// The priority of a core's group.
+/// The priority of a core's group, which callbacks with threads of their own may share.
 pub const fn group_priority(core: usize) -> u8 {
-    12 + 3 * core as u8
+    13 + 3 * core as u8
 }
 
 /// The way from a way's callback on, by its topic.
