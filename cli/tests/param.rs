@@ -3,10 +3,11 @@
 
 mod support;
 
+use futures::StreamExt;
 use serde_json::json;
 use std::fs;
 use support::{Here, said};
-use tautline::rcl_interfaces::srv::ListParameters;
+use tautline::rcl_interfaces::srv::{GetParameters, ListParameters, SetParameters};
 use tautline::{Node, ParameterDescriptor, Qos};
 
 fn parameters(here: &mut Here, name: &str, namespace: &str) -> Node {
@@ -116,6 +117,31 @@ fn parameters_are_listed_read_and_set() {
         1,
         "node '/mute' does not serve its parameters: there is no service",
     );
+
+    // One that answers without a result for any parameter.
+    let mut vague = here.node("vague", "");
+    let _listed = vague.create_service::<ListParameters::Service>("~/list_parameters", qos).unwrap();
+    let requests = vague.create_service::<GetParameters::Service>("~/get_parameters", qos).unwrap().owned();
+    let answer = requests.for_each(|request| {
+        request.respond(GetParameters::Response::default()).unwrap();
+        std::future::ready(())
+    });
+    here.serve(&mut vague, answer);
+    let requests = vague.create_service::<SetParameters::Service>("~/set_parameters", qos).unwrap().owned();
+    let answer = requests.for_each(|request| {
+        request.respond(SetParameters::Response::default()).unwrap();
+        std::future::ready(())
+    });
+    here.serve(&mut vague, answer);
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("vague.yaml");
+    fs::write(&file, "/vague: {ros__parameters: {gain: 1.0, speed: 2}}\n").unwrap();
+    let loaded = here.refused(&["param", "load", "vague", file.to_str().unwrap()]);
+    said(&loaded, 1, "/vague refuses 2 of 2");
+    for name in ["gain", "speed"] {
+        let line = format!("Set parameter {name} failed: the node does not say whether it was set\n");
+        assert!(loaded.1.contains(&line), "{loaded:?}");
+    }
 }
 
 fn files(here: &Here, control: &Node) {

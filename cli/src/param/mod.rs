@@ -315,17 +315,20 @@ impl Node {
             |(name, value): &(String, ParameterValue)| Parameter { name: name.clone(), value: value.into() };
         let request = SetParameters::Request { parameters: parameters.iter().map(message).collect() };
         let results = self.call::<SetParameters::Service>("set_parameters", request)?.results;
-        let set = parameters.iter().zip(results).map(|((name, _), result)| Set {
+        let mut results = results.into_iter();
+        let set = parameters.iter().map(|(name, _)| Set {
             node: self.name.clone(),
             name: name.clone(),
-            refused: (!result.successful).then_some(result.reason),
+            refused: match results.next() {
+                Some(result) => (!result.successful).then_some(result.reason),
+                None => Some("the node does not say whether it was set".to_owned()),
+            },
         });
         Ok(set.collect())
     }
 
     fn set_one(&mut self, name: &str, value: &ParameterValue) -> Outcome<Set> {
-        let set = self.set(&[(name.to_owned(), value.clone())])?.pop();
-        let set = set.ok_or_else(|| Failure::no(format!("{} does not say whether it was set", self.name)))?;
+        let set = self.set(&[(name.to_owned(), value.clone())])?.remove(0);
         if set.refused.is_some() {
             self.must_have(name)?;
         }
