@@ -359,6 +359,10 @@ fn virtual_machines_and_versions_of_kernel_and_cgroups() {
         put(&root, &format!("{folder}/period"), "1000000000\n");
     }
     expect(&root, "fair server", "advice", "get 50000 of each 1000000 µs");
+    // The largest share counts, not the longest time.
+    put(&root, "sys/kernel/debug/sched/fair_server/cpu3/runtime", "40000000\n");
+    put(&root, "sys/kernel/debug/sched/fair_server/cpu3/period", "100000000\n");
+    expect(&root, "fair server", "advice", "get 40000 of each 100000 µs");
 
     put(&root, "proc/self/cgroup", "1:cpu:/robot\n");
     put(&root, "proc/self/mountinfo", "32 31 0:29 /else /sys/fs/cgroup/cpu rw - cgroup cgroup rw,cpu\n");
@@ -593,6 +597,10 @@ fn what_a_killed_domain_left_is_named_and_removed() {
     let name = format!("domain {DOMAIN} of scope {scope} (");
     let words = named.split_whitespace().collect::<Vec<_>>().join(" ");
     assert!(words.contains(&name) || !folder.exists(), "{named}");
+    let script = doctor(&["--fix-script"]);
+    let is_alone = script.lines().any(|line| line == "taut doctor --remove-dead");
+    let is_told = script.contains("\n# As the user whose domains they are: taut doctor --remove-dead\n");
+    assert!(!is_alone && (is_told || !folder.exists()), "{script}");
     doctor(&["--remove-dead"]);
     assert!(!folder.exists());
 }

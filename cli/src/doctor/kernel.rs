@@ -118,7 +118,7 @@ fn server(host: &Host) -> Result<Option<(i64, i64, usize)>, String> {
     if host.kernel()? < (6, 12) {
         return Ok(None);
     }
-    let mut most = None;
+    let mut most: Option<(i64, i64, usize)> = None;
     for core in host.cores()?.iter() {
         let us = |name| {
             let ns = host.tree.parse::<i64>(&format!("{FAIR_SERVER}/cpu{core}/{name}"));
@@ -126,7 +126,12 @@ fn server(host: &Host) -> Result<Option<(i64, i64, usize)>, String> {
                 format!("{error} (debugfs: root, and `mount -t debugfs none /sys/kernel/debug`)")
             })
         };
-        most = most.max(Some((us("runtime")?, us("period")?, core)));
+        let (runtime, period) = (us("runtime")?, us("period")?);
+        // Shares are compared as cross products, which are exact.
+        let product = |runtime: i64, period: i64| i128::from(runtime) * i128::from(period);
+        if most.is_none_or(|(most, of, _)| product(runtime, of) >= product(most, period)) {
+            most = Some((runtime, period, core));
+        }
     }
     Ok(most.filter(|(runtime, ..)| *runtime > 0))
 }
