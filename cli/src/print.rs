@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The only code that prints. Names, messages, logs and errors may come from other hosts or a bag, so their control characters are escaped.
-//! Until this escaping, colours are therefore represented by Unicode's noncharacters, which no text contains.
+//! Until this escaping, colours are therefore represented by marks that no other text contains.
 
 use std::fmt;
+use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io::{self, IsTerminal, Write};
+use std::sync::LazyLock;
 use tautline_rt::terminal::Escaped;
 
 /// A colour: `format!("{BAD}text{BAD:#}")`.
@@ -15,38 +17,42 @@ pub enum Colour {
     Red,
 }
 
-const END: char = '\u{fdd0}';
-/// Moves the cursor to the upper left and clears a terminal's screen; removed from output without colours.
-pub const CLEAR: char = '\u{fdd4}';
-
-const SEQUENCES: [(char, &str); 5] = [
-    (END, "\x1b[0m"),
-    ('\u{fdd1}', "\x1b[32m"),
-    ('\u{fdd2}', "\x1b[33m"),
-    ('\u{fdd3}', "\x1b[31m"),
-    (CLEAR, "\x1b[H\x1b[J"),
-];
+/// The escape sequences: the end of a colour, the colours, and the cleared screen.
+const SEQUENCES: [&str; 5] = ["\x1b[0m", "\x1b[32m", "\x1b[33m", "\x1b[31m", "\x1b[H\x1b[J"];
+/// The beginning of each mark: one of Unicode's noncharacters, which others may send nevertheless.
+const BEGIN: char = '\u{fdd0}';
+/// The marks of the sequences. Others do not know this process's random number.
+static MARKS: LazyLock<[String; SEQUENCES.len()]> = LazyLock::new(|| {
+    let number = RandomState::new().build_hasher().finish();
+    std::array::from_fn(|sequence| format!("{BEGIN}{number:016x}{sequence}"))
+});
 
 impl fmt::Display for Colour {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let start = match self {
+        let sequence = match self {
             Colour::Plain => return Ok(()),
-            Colour::Green => '\u{fdd1}',
-            Colour::Yellow => '\u{fdd2}',
-            Colour::Red => '\u{fdd3}',
+            _ if f.alternate() => 0,
+            Colour::Green => 1,
+            Colour::Yellow => 2,
+            Colour::Red => 3,
         };
-        write!(f, "{}", if f.alternate() { END } else { start })
+        f.write_str(&MARKS[sequence])
     }
+}
+
+/// Moves the cursor to the upper left and clears a terminal's screen; removed from output without colours.
+pub fn clear() -> &'static str {
+    &MARKS[4]
 }
 
 /// The text with the terminal's escape sequences for colours, or without colours.
 pub fn painted(text: &str, is_coloured: bool) -> String {
-    SEQUENCES.iter().fold(text.to_owned(), |text, (mark, sequence)| {
-        text.replace(*mark, if is_coloured { sequence } else { "" })
+    MARKS.iter().zip(SEQUENCES).fold(text.to_owned(), |text, (mark, sequence)| {
+        text.replace(mark.as_str(), if is_coloured { sequence } else { "" })
     })
 }
 
-/// Replaces colours in the text that is written to `to`. Each write must consist of whole characters.
+/// Replaces colours in the text that is written to `to`. Each write must consist of whole marks.
 struct Painted<W: Write> {
     to: W,
     is_coloured: bool,
@@ -55,7 +61,7 @@ struct Painted<W: Write> {
 impl<W: Write> Write for Painted<W> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let text = std::str::from_utf8(bytes).map_err(io::Error::other)?;
-        match text.contains(|c| SEQUENCES.iter().any(|(mark, _)| *mark == c)) {
+        match text.contains(BEGIN) {
             true => self.to.write_all(painted(text, self.is_coloured).as_bytes())?,
             false => self.to.write_all(bytes)?,
         }
@@ -113,9 +119,9 @@ mod tests {
             let mut out = Vec::new();
             let mut printer = Escaped::new(Painted { to: &mut out, is_coloured });
             let red = Colour::Red;
-            writeln!(printer, "{red}of others: \x1b[2J\u{9b}31m{red:#}").unwrap();
+            writeln!(printer, "{red}of others: \x1b[2J\u{9b}31m a\u{fdd4}b\u{fdd0}{red:#}").unwrap();
             drop(printer);
-            let text = "of others: \\u001b[2J\\u009b31m";
+            let text = "of others: \\u001b[2J\\u009b31m a\u{fdd4}b\u{fdd0}";
             let expected = if is_coloured { format!("\x1b[31m{text}\x1b[0m\n") } else { format!("{text}\n") };
             assert_eq!(String::from_utf8(out).unwrap(), expected);
         }

@@ -247,7 +247,7 @@ fn print(args: &ReportArgs, system: &System, run: &Run, in_place: bool) -> Resul
         json::write(&comparison, &mut out)?;
     } else {
         if in_place && io::stdout().is_terminal() {
-            write!(out, "{}", crate::print::CLEAR)?;
+            write!(out, "{}", crate::print::clear())?;
         }
         table::write(&comparison, run, &mut out)?;
     }
