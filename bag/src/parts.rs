@@ -219,10 +219,7 @@ fn described_parts(folder: &Path, described: &Path, file: File) -> Result<Parts,
     // Decompressed files may be beside those that are named.
     let named: BTreeSet<_> = files.iter().map(bare).collect();
     let unnamed = files_in(folder).unwrap_or_default().into_iter();
-    let end = |file: &Path| {
-        let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        name.split_once('.').map(|(_, end)| end.to_owned())
-    };
+    let end = |file: &Path| stem_and_end(file).map(|(_, end)| end);
     // A file of another kind is a converted copy; an empty file has no messages.
     let is_part = |file: &PathBuf| {
         !named.contains(&bare(file))
@@ -242,8 +239,7 @@ fn files_in(folder: &Path) -> Result<Vec<PathBuf>, BagError> {
     let mut files = Vec::new();
     for entry in fs::read_dir(folder).map_err(BagError::read(folder))? {
         let file = entry.map_err(BagError::read(folder))?.path();
-        let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        if [".mcap", ".db3", ".mcap.zstd", ".db3.zstd"].iter().any(|end| name.ends_with(end)) {
+        if stem_and_end(&file).is_some() {
             files.push(file);
         }
     }
@@ -258,9 +254,14 @@ fn files_in(folder: &Path) -> Result<Vec<PathBuf>, BagError> {
 /// Sorts files by the numbers in their names.
 pub(crate) fn in_order(files: &mut [PathBuf]) {
     files.sort_by_cached_key(|file| {
-        let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let stem = name.split('.').next().unwrap_or_default();
-        let number = stem.rsplit('_').next().and_then(|digits| digits.parse::<u64>().ok());
-        (number, name)
+        let number = stem_and_end(file).and_then(|(stem, _)| stem.rsplit('_').next()?.parse::<u64>().ok());
+        (number, file.clone())
     });
+}
+
+/// The name of a bag's file, divided in front of its end; both may have dots.
+fn stem_and_end(file: &Path) -> Option<(String, &'static str)> {
+    let name = file.file_name()?.to_string_lossy();
+    let of = |end: &'static str| Some((name.strip_suffix(end)?.to_owned(), end));
+    [".mcap", ".db3", ".mcap.zstd", ".db3.zstd"].into_iter().find_map(of)
 }

@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use tautline_bag::{
-    BagError, Compression, Converted, Definition, Hooks, Options, Ordered, OwnedMessage, Stamp, Storage,
-    Topic, Writer, convert, files_of, index_of,
+    BagError, Compression, Converted, Definition, FileReader, Hooks, Options, Ordered, OwnedMessage, Stamp,
+    Storage, Topic, Writer, convert, files_of, index_of,
 };
 
 const QOS: &str = "- history: keep_last\n  depth: 7\n  reliability: best_effort\n  durability: transient_local\n  deadline:\n    sec: 0\n    \
@@ -343,6 +343,32 @@ fn a_folder_without_metadata_is_taken_as_it_is() {
     assert!(error.contains("compressed as a whole (.zstd): `taut bag convert"), "{error}");
     fs::remove_file(bag.join("old_10.db3.zstd")).unwrap();
     refused(&bag, "there is neither metadata.yaml nor a .mcap or .db3 file in it");
+}
+
+/// The last file of a killed recording is found, and the files are in the order of their numbers.
+#[test]
+fn names_may_have_dots() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("a.b");
+    let options = Options { split_ns: Some(1), ..Options::default() };
+    let mut writer = Writer::create(&bag, options, BTreeMap::new()).unwrap();
+    let id = writer.add_topic(topic("/one")).unwrap();
+    for n in 0..11 {
+        let log_ns = 1_000_000_000 + n;
+        writer.write(id, Stamp { sequence: 0, log_ns, publish_ns: log_ns }, &cdr(n)).unwrap();
+    }
+    assert_eq!(writer.finish(BTreeMap::new()).unwrap().files.len(), 11);
+    let named = (0..10).map(|n| format!("a.b_{n}.mcap")).collect::<Vec<_>>().join(", ");
+    metadata(&bag, &format!("version: 9\n  storage_identifier: mcap\n  relative_file_paths: [{named}]"));
+    for new in ["described", "undescribed"] {
+        let converted = to_mcap(&bag, &folder.path().join(new)).unwrap();
+        assert_eq!((converted.notes.len(), converted.files[0].messages), (1, 11), "{converted:?}");
+        let mut reader = FileReader::open(&converted.files[0].path).unwrap();
+        reader.read(&mut |_| Ok::<_, BagError>(())).unwrap();
+        assert_eq!(reader.summary().disordered, 0, "{new}");
+        // The next time, what is in the folder is taken.
+        let _ = fs::remove_file(bag.join("metadata.yaml"));
+    }
 }
 
 /// Rows whose bytes are in the same place are no more than one; a few of them could fill any disk.
