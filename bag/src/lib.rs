@@ -127,6 +127,12 @@ impl Default for Topic {
 }
 
 impl Topic {
+    /// The topic without what does not change how its messages are read: QoS, metadata, and the definition if its hash is known.
+    pub fn bare(&self) -> Topic {
+        let definition = self.definition.clone().filter(|_| self.type_hash.is_empty());
+        Topic { definition, qos: String::new(), metadata: BTreeMap::new(), ..self.clone() }
+    }
+
     /// The definition, if it is in ROS 2's `.msg` format.
     pub fn ros2msg(&self) -> Option<Cow<'_, str>> {
         let definition = self.definition.as_ref().filter(|definition| definition.encoding == "ros2msg")?;

@@ -37,7 +37,8 @@ pub struct Ordered {
     /// The open files. They stay open, because opening a file scans it.
     open: Vec<Option<Open>>,
     topics: Vec<Arc<Topic>>,
-    numbers: HashMap<(String, String, Option<String>), usize>,
+    /// By the topic and its publisher.
+    numbers: HashMap<(Topic, Option<String>), usize>,
     /// Messages by their times, and by the order in which they were read.
     waiting: BinaryHeap<Reverse<(u64, u64, OwnedMessage)>>,
     waiting_bytes: usize,
@@ -92,8 +93,8 @@ impl Ordered {
         Ok(bag)
     }
 
-    /// The bag's topics; a name has one for each type and [publisher](crate::PUBLISHER). A damaged file may add topics while it is
-    /// read.
+    /// The bag's topics; a name has one for each definition of a type and each [publisher](crate::PUBLISHER). A damaged file may add topics
+    /// while it is read.
     pub fn topics(&self) -> &[Arc<Topic>] {
         &self.topics
     }
@@ -196,8 +197,7 @@ impl Ordered {
     }
 
     fn number(&mut self, topic: &Arc<Topic>) -> usize {
-        let publisher = topic.metadata.get(PUBLISHER).cloned();
-        let key = (topic.name.clone(), topic.type_name.clone(), publisher);
+        let key = (topic.bare(), topic.metadata.get(PUBLISHER).cloned());
         *self.numbers.entry(key).or_insert_with(|| {
             self.topics.push(topic.clone());
             self.topics.len() - 1

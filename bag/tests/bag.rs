@@ -198,6 +198,24 @@ fn messages_come_in_the_order_of_their_reception() {
     }
 }
 
+/// Of one name and type, as when a definition was changed between two recordings.
+#[test]
+fn each_definition_of_a_type_is_a_topic() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut writer = Writer::create(&bag, Options::default(), BTreeMap::new()).unwrap();
+    for digit in ["0", "1"] {
+        let type_hash = format!("RIHS01_{}", digit.repeat(64));
+        let id = writer.add_topic(Topic { type_hash, ..topic("/even") }).unwrap();
+        writer.write(id, stamp(0), &body(0)).unwrap();
+    }
+    writer.finish(BTreeMap::new()).unwrap();
+    let mut ordered = Ordered::open(&bag, &mut |_| {}).unwrap();
+    assert_eq!(ordered.topics().len(), 2);
+    let topics = std::iter::from_fn(|| ordered.next_message().unwrap()).map(|message| message.topic);
+    assert_eq!(topics.collect::<Vec<_>>(), [0, 1]);
+}
+
 /// A bag to which 200 messages were written, and flushed after every 20: its bytes and messages at first, and after each flush.
 fn flushed(bag: &Path, compression: Compression) -> (Writer, Vec<(u64, u64)>) {
     let options = Options { compression, ..Options::default() };

@@ -10,7 +10,7 @@ use child::{signal, wait_for};
 use rustix::pty;
 use schemas::{Checked, ended};
 use serde_json::Value;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, Command, Stdio};
@@ -271,6 +271,24 @@ fn what_each_publisher_kept_is_kept() {
     let (code, out, errors) = ended(child.wait_with_output().unwrap());
     let report: Value = serde_json::from_str(&out).unwrap();
     assert_eq!((code, report["topics"].as_array().unwrap().len()), (0, 2), "{out}{errors}");
+}
+
+/// Of one name and type, as when a definition was changed between two recordings.
+#[test]
+fn each_definition_of_a_type_has_a_publisher() {
+    let place = Place::new(225);
+    let topics = ["uint64 n\n", "int64 n\n"]
+        .map(|definition| topic("/count", "demo_msgs/msg/Count", definition, "volatile"));
+    place.write(&topics, (0..10).map(|n| (n as usize % 2, stamp(n, START_NS + n * MS), cdr(n))));
+    let child = Place::begin(place.command(&["--paused"]));
+    let graph = graph_of(place.domain).unwrap();
+    let publishers =
+        graph.endpoints.iter().filter(|end| end.kind == EndpointKind::Publisher && end.topic == "/count");
+    let hashes: BTreeSet<_> = publishers.map(|end| end.topic_type.hash.clone()).collect();
+    assert_eq!(hashes.len(), 2, "{hashes:?}");
+    signal(&child, "-INT");
+    let (code, out, errors) = ended(child.wait_with_output().unwrap());
+    assert_eq!(code, 0, "{out}{errors}");
 }
 
 #[test]

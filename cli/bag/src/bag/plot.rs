@@ -188,13 +188,16 @@ impl PlotArgs {
             let what = format!("topic '{}' in {}", wanted.topic, self.bag.display());
             return Err(field::missing(&what, &wanted.topic, names));
         };
-        let (name, of_type) = (&wanted.topic, &topics[topic].type_name);
-        let of_name = || topics.iter().enumerate().filter(|(_, topic)| topic.name == *name);
-        if of_name().any(|(_, topic)| topic.type_name != *of_type) {
-            say(&format!("taut: warning: {name} has several types, of which {of_type} is drawn"));
+        let (first, bare) = (&topics[topic], topics[topic].bare());
+        let of_name = || topics.iter().enumerate().filter(|(_, topic)| topic.name == first.name);
+        if of_name().any(|(_, topic)| topic.bare() != bare) {
+            let Topic { name, type_name, .. } = &**first;
+            say(&format!(
+                "taut: warning: {name} has several types or definitions, of which the first, {type_name}, is drawn"
+            ));
         }
-        let schema = schema_of(&topics[topic])?;
-        let topics = of_name().filter(|(_, topic)| topic.type_name == *of_type).map(|(at, _)| at).collect();
+        let schema = schema_of(first)?;
+        let topics = of_name().filter(|(_, topic)| topic.bare() == bare).map(|(at, _)| at).collect();
         let is_bool = wanted.check(&schema)? == Primitive::Bool;
         let columns = Columns::new(from_ns, to_ns, usize::from(self.width));
         let (points, unread) = (Vec::new(), (0, None));
