@@ -4,8 +4,8 @@
 use crate::parts::{EIO, MAGIC};
 use crate::reader::{FileSummary, definition, topic};
 use crate::record::{Records, parse};
-use crate::{BagError, Compression, MOST_BYTES};
-use mcap::records::{Record, op};
+use crate::{BagError, Compression, MOST_BYTES, Topic};
+use mcap::records::{Footer, Record, op};
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io;
@@ -14,6 +14,8 @@ use std::path::Path;
 
 /// The footer, a record of 29 bytes, and the magic bytes.
 const END: u64 = 29 + 8;
+/// The length of what is in front of the checksum in the footer's record. The checksum is of the summary and of that.
+pub(crate) const BEFORE_CHECKSUM: u64 = 9 + 16;
 /// More messages than any disk has room for.
 const MOST_MESSAGES: u64 = 1 << 45;
 
@@ -34,20 +36,13 @@ pub fn index_of(path: &Path) -> Result<Option<(FileSummary, Vec<Metadata>)>, Bag
         return Err(BagError::NoBag { path: path.to_owned(), reason: "it is not a file".to_owned() });
     }
     let bytes = found.len();
+    let Some(section) = section(&file).map_err(BagError::read(path))? else { return Ok(None) };
     let read = |from, to| read(&file, from, to).map_err(BagError::read(path));
-    let Some(end) = read(bytes.saturating_sub(END), bytes)? else { return Ok(None) };
-    let Some(from) = start(&end) else { return Ok(None) };
-    let Some(section) = read(from, bytes - END)? else { return Ok(None) };
     let mut of_file = FileSummary { path: path.to_owned(), bytes, ..FileSummary::default() };
-    let (mut schemas, mut channels, mut counts) = (HashMap::new(), Vec::new(), BTreeMap::new());
-    let (mut is_compressed, mut metadata) = (false, Vec::new());
-    let mut metadata_bytes = 0;
+    let (mut is_compressed, mut counts) = (false, BTreeMap::new());
+    let (mut metadata, mut metadata_bytes) = (Vec::new(), 0);
     for (kind, body) in Records(&section) {
         match parse(kind, body) {
-            Ok(Some(Record::Schema { header, data })) => {
-                schemas.insert(header.id, (header.name, definition(&header.encoding, &data)));
-            }
-            Ok(Some(Record::Channel(channel))) => channels.push(channel),
             Ok(Some(Record::ChunkIndex(chunk))) if !is_compressed => {
                 is_compressed = true;
                 of_file.compression = Compression::of_name(&chunk.compression);
@@ -81,19 +76,55 @@ pub fn index_of(path: &Path) -> Result<Option<(FileSummary, Vec<Metadata>)>, Bag
             Err(_) => return Ok(None),
         }
     }
-    for channel in &channels {
-        let schema = schemas.get(&channel.schema_id).cloned().unwrap_or_default();
-        of_file.count(&topic(channel, schema), counts.get(&channel.id).copied().unwrap_or(0));
+    for (id, topic) in topics_in(&section) {
+        of_file.count(&topic, counts.get(&id).copied().unwrap_or(0));
     }
     Ok(Some((of_file, metadata)))
 }
 
-/// The position of the summary, from the last [`END`] bytes of a file.
-fn start(end: &[u8]) -> Option<u64> {
+/// The topics of a file's channels, by its summary; none if that is damaged.
+pub(crate) fn topics_of(file: &File) -> io::Result<BTreeMap<u16, Topic>> {
+    Ok(section(file)?.map_or_else(BTreeMap::new, |section| topics_in(&section)))
+}
+
+fn topics_in(section: &[u8]) -> BTreeMap<u16, Topic> {
+    let (mut schemas, mut topics) = (HashMap::new(), BTreeMap::new());
+    for (kind, body) in Records(section) {
+        match parse(kind, body) {
+            Ok(Some(Record::Schema { header, data })) => {
+                schemas.insert(header.id, (header.name, definition(&header.encoding, &data)));
+            }
+            Ok(Some(Record::Channel(channel))) => {
+                let schema = schemas.get(&channel.schema_id).cloned().unwrap_or_default();
+                topics.insert(channel.id, topic(&channel, schema));
+            }
+            _ => {}
+        }
+    }
+    topics
+}
+
+/// The records of a file's summary. `None`: it has none, or they are damaged, longer than `MOST_BYTES`, or cannot be read from the disk.
+fn section(file: &File) -> io::Result<Option<Vec<u8>>> {
+    let bytes = file.metadata()?.len();
+    let Some(end) = read(file, bytes.saturating_sub(END), bytes)? else { return Ok(None) };
+    let Some(footer) = footer(&end) else { return Ok(None) };
+    let section = read(file, footer.summary_start, bytes - END)?;
+    let is_intact = |section: &Vec<u8>| {
+        let mut checksum = crc32fast::Hasher::new();
+        checksum.update(section);
+        checksum.update(&end[..BEFORE_CHECKSUM as usize]);
+        [0, checksum.finalize()].contains(&footer.summary_crc)
+    };
+    Ok(section.filter(is_intact))
+}
+
+/// The footer of a file with a summary, from its last [`END`] bytes.
+fn footer(end: &[u8]) -> Option<Footer> {
     let is_whole = end.ends_with(MAGIC) && end.len() as u64 == END;
     match is_whole.then(|| Records(end).next()).flatten() {
         Some((op::FOOTER, body)) => match parse(op::FOOTER, body) {
-            Ok(Some(Record::Footer(footer))) => (footer.summary_start > 0).then_some(footer.summary_start),
+            Ok(Some(Record::Footer(footer))) => (footer.summary_start > 0).then_some(footer),
             _ => None,
         },
         _ => None,

@@ -4,8 +4,8 @@
 //!
 //! This crate knows files, not Tautline's topics. Written data survives: a chunk is in the file when [`Writer::flush`] returns, the
 //! space that a file still needs to be complete is reserved before a message is written, and [`recover`] keeps every complete chunk of
-//! a killed process's file. Files that are read are untrusted: lengths are checked against the file's length, chunks against their
-//! checksum.
+//! a killed process's file. Files that are read are untrusted: lengths are checked against the file's length, chunks and
+//! the summary against their checksums.
 #![deny(unsafe_code)]
 
 use std::borrow::Cow;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reads a bag from its first byte to its last, with any content.
 
+use crate::index::{BEFORE_CHECKSUM, topics_of};
 use crate::parts::{EIO, Form, MAGIC, form_of, in_order};
 use crate::qos::joined;
 use crate::record::{Records, parse};
@@ -126,6 +127,8 @@ pub struct FileReader {
     schemas: HashMap<u16, (String, Option<Definition>)>,
     /// In order: the first of several channels of a topic determines its description.
     channels: BTreeMap<u16, (Arc<Topic>, u64)>,
+    /// The summary's channels, which are read when a message's channel is not known.
+    repeated: Option<BTreeMap<u16, Topic>>,
     latest_ns: u64,
     /// The buffer of the record that is read.
     record: Vec<u8>,
@@ -220,6 +223,7 @@ impl FileReader {
             is_ended: false,
             schemas: HashMap::new(),
             channels: BTreeMap::new(),
+            repeated: None,
             latest_ns: 0,
             record: Vec::new(),
         })
@@ -375,17 +379,38 @@ impl FileReader {
     }
 
     /// Reads what follows the data: the summary, which repeats what is known, the footer and the magic bytes again.
-    fn end(&mut self, mut position: u64) -> Result<(), BagError> {
+    fn end(&mut self, start: u64) -> Result<(), BagError> {
+        let mut position = start;
         while let Some((kind, len_bytes)) = self.head(position)? {
+            let checksum = position + BEFORE_CHECKSUM;
             position += RECORD_HEAD + len_bytes;
             if kind == op::FOOTER {
-                if self.ends(position)? {
-                    return Ok(());
+                if checksum + 4 <= position && self.ends(position)? {
+                    return self.check_summary(start, checksum);
                 }
                 break;
             }
         }
         self.note(position.min(self.bytes), "the file's index is cut off");
+        Ok(())
+    }
+
+    /// Compares the checksum of the summary, which is at `end`, with what it is of; 0 is none.
+    fn check_summary(&mut self, start: u64, end: u64) -> Result<(), BagError> {
+        let (mut position, mut checksum, mut piece) = (start, crc32fast::Hasher::new(), vec![0; 1 << 16]);
+        let mut stated = [0; 4];
+        let mut is_read = self.fill(&mut stated, end)?;
+        while is_read && position < end {
+            let len = (end - position).min(piece.len() as u64) as usize;
+            is_read = self.fill(&mut piece[..len], position)?;
+            checksum.update(&piece[..len]);
+            position += len as u64;
+        }
+        if !is_read {
+            self.note(start, "the disk cannot read the file's index");
+        } else if ![0, checksum.finalize()].contains(&u32::from_le_bytes(stated)) {
+            self.note(start, "the file's index: its checksum is another");
+        }
         Ok(())
     }
 
@@ -437,10 +462,14 @@ impl FileReader {
         if self.summary.messages == 0 {
             self.summary.compression = Compression::of_name(&header.compression);
         }
-        let mut records = Records(&bytes);
+        let (mut records, mut times) = (Records(&bytes), None);
         for (kind, body) in &mut records {
             match parse(kind, body) {
                 Ok(Some(record @ (Record::Schema { .. } | Record::Channel(_) | Record::Message { .. }))) => {
+                    if let Record::Message { header, .. } = &record {
+                        let (first, last) = times.unwrap_or((header.log_time, header.log_time));
+                        times = Some((header.log_time.min(first), header.log_time.max(last)));
+                    }
                     self.parsed(&record, position, visit)?;
                 }
                 Ok(_) => self.note(position, &format!("a record of kind {kind} in a chunk")),
@@ -449,6 +478,9 @@ impl FileReader {
         }
         if !records.0.is_empty() {
             self.note(position, "a chunk ends in the middle of a record");
+        }
+        if times.is_some_and(|times| times != (header.message_start_time, header.message_end_time)) {
+            self.note(position, "a chunk has messages of other times than it says");
         }
         Ok(())
     }
@@ -484,6 +516,11 @@ impl FileReader {
                 return visit(Event::Metadata(metadata.name.clone(), metadata.metadata.clone()));
             }
             Record::Message { header, data } => {
+                if !self.channels.contains_key(&header.channel_id)
+                    && let Some(topic) = self.restored(header.channel_id)?
+                {
+                    visit(Event::Topic(topic))?;
+                }
                 let Some((topic, messages)) = self.channels.get_mut(&header.channel_id) else {
                     self.note(
                         position,
@@ -502,6 +539,18 @@ impl FileReader {
             _ => {}
         }
         Ok(())
+    }
+
+    /// The topic of a channel that was in a damaged part, if the summary repeats it.
+    fn restored(&mut self, id: u16) -> Result<Option<&Arc<Topic>>, BagError> {
+        if self.repeated.is_none() {
+            self.repeated = Some(topics_of(&self.file).map_err(BagError::read(&self.path))?);
+        }
+        let Some(topic) = self.repeated.as_mut().and_then(|topics| topics.remove(&id)) else {
+            return Ok(None);
+        };
+        let (topic, _) = self.channels.entry(id).or_insert((Arc::new(topic), 0));
+        Ok(Some(&*topic))
     }
 
     /// The topic of a channel, if it was not known: each chunk may state it again.

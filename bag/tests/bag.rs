@@ -6,6 +6,7 @@ use rustix::process::{Resource, Rlimit, setrlimit};
 use std::collections::BTreeMap;
 use std::fs;
 use std::num::NonZeroU32;
+use std::ops::Range;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use tautline_bag::{
@@ -298,21 +299,70 @@ fn a_description_that_cannot_be_read_is_kept_beside_the_new_one() {
     }
 }
 
+const CHUNK: u8 = 0x06;
+const DATA_END: u8 = 0x0f;
+
+/// The kind and the place of each record, up to the end of the data.
+fn records(bytes: &[u8]) -> Vec<(u8, Range<usize>)> {
+    let (mut at, mut records): (usize, Vec<(u8, Range<usize>)>) = (8, Vec::new());
+    while records.last().is_none_or(|(kind, _)| *kind != DATA_END) {
+        let next = at + 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
+        records.push((bytes[at], at..next));
+        at = next;
+    }
+    records
+}
+
+fn chunks(bytes: &[u8]) -> Vec<Range<usize>> {
+    records(bytes).into_iter().filter(|(kind, _)| *kind == CHUNK).map(|(_, chunk)| chunk).collect()
+}
+
 /// Changes a byte of each chunk of a file; how many there are.
 fn damage_chunks(path: &Path) -> u64 {
     let mut bytes = fs::read(path).unwrap();
-    let (mut at, mut chunks) = (8, 0);
-    // Up to the end of the data.
-    while bytes[at] != 0x0f {
-        let next = at + 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
-        if bytes[at] == 0x06 {
-            bytes[next - 1] ^= 1;
-            chunks += 1;
-        }
-        at = next;
-    }
+    let chunks = chunks(&bytes);
+    chunks.iter().for_each(|chunk| bytes[chunk.end - 1] ^= 1);
     fs::write(path, bytes).unwrap();
-    chunks
+    chunks.len() as u64
+}
+
+/// Though channels are in the first chunk alone: the summary repeats them.
+#[test]
+fn a_damaged_chunk_costs_no_message_of_another() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let (writer, _) = flushed(&bag, Compression::None);
+    let path = writer.finish(BTreeMap::new()).unwrap().files.remove(0).path;
+    let mut bytes = fs::read(&path).unwrap();
+    let first = chunks(&bytes).remove(0);
+    bytes[first.end - 1] ^= 1;
+    fs::write(&path, &bytes).unwrap();
+    let recovered = recover(&bag, &mut |_| {}).unwrap().remove(0);
+    assert_eq!((recovered.summary.messages, recovered.damage.len()), (180, 1), "{recovered:?}");
+    assert_eq!(read(&path).0, (20..200).collect::<Vec<_>>());
+}
+
+#[test]
+fn a_changed_byte_of_the_summary_or_of_the_times_of_a_chunk_is_damage() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = write(&folder.path().join("bag"), Options::default(), 100).files.remove(0).path;
+    let whole = fs::read(&path).unwrap();
+    let damages = |at: usize| {
+        let mut bytes = whole.clone();
+        bytes[at] ^= 1;
+        fs::write(&path, bytes).unwrap();
+        let mut reader = FileReader::open(&path).unwrap();
+        reader.read(&mut |_| Ok::<_, BagError>(())).unwrap();
+        assert_eq!(reader.summary().messages, 100);
+        reader.damage().1
+    };
+    for at in records(&whole).last().unwrap().1.end..whole.len() {
+        assert_eq!(damages(at), 1, "{at} of {}", whole.len());
+        assert!(index_of(&path).unwrap().is_none(), "{at} of {}", whole.len());
+    }
+    // The times of the first and the last message are at the beginning of a chunk.
+    let times = chunks(&whole)[0].start + 9;
+    assert_eq!([times, times + 8].map(damages), [1, 1]);
 }
 
 /// Though not all of it is listed, with an index and without, however often a bag is read.

@@ -26,7 +26,7 @@ use tautline_bag::{
 #[derive(Subcommand, Clone, Debug)]
 #[command(after_help = "Examples:
   taut bag info run1                     topics, messages, times; what the recorder lost
-  taut bag check run1                    every byte; exit code 1 if something is wrong
+  taut bag check run1                    exit code 1 if a message, a topic or the index is damaged
   taut bag recover run1                  what a killed recorder left is made whole
   taut bag cut run1 /scan --from 10s --to 20s -o part
   taut bag merge run1 run2 -o both
