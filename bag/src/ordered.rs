@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 /// The number of files that stay open; of the others one is open at a time.
 const MOST_OPEN: usize = 256;
-/// The maximum bytes of messages that wait for their turn, because the times of chunks overlap.
+/// The maximum memory for messages that wait for their turn, because the times of chunks overlap.
 const MOST_WAITING: usize = 2 << 30;
 
 /// A message and its topic, an index into [`Ordered::topics`].
@@ -39,13 +39,16 @@ pub struct Ordered {
     topics: Vec<Arc<Topic>>,
     /// By the topic and its publisher.
     numbers: HashMap<(Topic, Option<String>), usize>,
-    /// Messages by their times, and by the order in which they were read.
-    waiting: BinaryHeap<Reverse<(u64, u64, OwnedMessage)>>,
+    waiting: BinaryHeap<Waiting>,
     waiting_bytes: usize,
+    most_waiting: usize,
     count: u64,
     damage: BTreeSet<(PathBuf, u64, String)>,
     damages: u64,
 }
+
+/// Messages by their times, and by the order in which they were read.
+type Waiting = Reverse<(u64, u64, OwnedMessage)>;
 
 struct Open {
     reader: FileReader,
@@ -70,6 +73,7 @@ impl Ordered {
             numbers,
             waiting: BinaryHeap::new(),
             waiting_bytes: 0,
+            most_waiting: MOST_WAITING,
             count: 0,
             damage: BTreeSet::new(),
             damages: 0,
@@ -132,7 +136,7 @@ impl Ordered {
             self.extents[self.left].1.is_read = true;
         }
         let next = self.waiting.pop().map(|Reverse((.., message))| message);
-        self.waiting_bytes -= next.as_ref().map_or(0, |message| message.cdr.len());
+        self.waiting_bytes -= next.as_ref().map_or(0, memory);
         Ok(next)
     }
 
@@ -158,7 +162,7 @@ impl Ordered {
         };
         let Open { reader, numbers } = &mut open;
         let before = reader.damage().1;
-        reader.read_at(extent.position, extent.whole, &mut |event| {
+        let read = reader.read_at(extent.position, extent.whole, &mut |event| {
             if let Event::Message(message) = event {
                 let address = Arc::as_ptr(message.topic).addr();
                 let known = numbers.get(&address).map(|(_, number)| *number);
@@ -169,25 +173,25 @@ impl Ordered {
                 });
                 let (stamp, cdr) = (message.stamp, message.cdr.to_vec());
                 let message = OwnedMessage { topic, stamp, cdr };
-                self.waiting_bytes += message.cdr.len();
+                self.waiting_bytes += memory(&message);
                 self.waiting.push(Reverse((stamp.log_ns, self.count, message)));
                 self.count += 1;
             }
-            Ok::<_, BagError>(())
-        })?;
+            if self.waiting_bytes <= self.most_waiting {
+                return Ok(());
+            }
+            let reason = format!(
+                "more than {} MB of messages are of overlapping times: `taut bag merge` puts them in order",
+                self.most_waiting >> 20
+            );
+            Err(BagError::Format { path: self.files[file].clone(), reason })
+        });
         self.note(file, &open.reader);
         if !extent.is_read {
             self.damages += open.reader.damage().1 - before;
         }
         self.open[file] = Some(open);
-        if self.waiting_bytes > MOST_WAITING {
-            let reason = format!(
-                "more than {} MB of messages are of overlapping times: `taut bag merge` puts them in order",
-                MOST_WAITING >> 20
-            );
-            return Err(BagError::Format { path: self.files[file].clone(), reason });
-        }
-        Ok(())
+        read
     }
 
     fn opened(&self, file: usize) -> Result<(FileReader, Vec<Extent>), BagError> {
@@ -207,6 +211,35 @@ impl Ordered {
     fn note(&mut self, file: usize, reader: &FileReader) {
         for damage in reader.damage().0 {
             self.damage.insert((self.files[file].clone(), damage.offset, damage.what.clone()));
+        }
+    }
+}
+
+/// The memory that a message takes while it waits.
+fn memory(message: &OwnedMessage) -> usize {
+    message.cdr.len() + size_of::<Waiting>()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Options, Writer};
+    use std::collections::BTreeMap;
+
+    #[test]
+    fn messages_without_bytes_take_memory() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("bag");
+        let mut writer = Writer::create(&path, Options::default(), BTreeMap::new()).unwrap();
+        let id = writer.add_topic(Topic { name: "/empty".to_owned(), ..Topic::default() }).unwrap();
+        for log_ns in 1..=1000 {
+            writer.write(id, Stamp { log_ns, ..Stamp::default() }, &[]).unwrap();
+        }
+        writer.finish(BTreeMap::new()).unwrap();
+        for (most_waiting, is_too_much) in [(1000 * size_of::<Waiting>(), false), (10_000, true)] {
+            let mut bag = Ordered::open(&path, &mut |_| {}).unwrap();
+            bag.most_waiting = most_waiting;
+            assert_eq!(matches!(bag.next_message(), Err(BagError::Format { .. })), is_too_much);
         }
     }
 }
