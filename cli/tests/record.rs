@@ -23,7 +23,7 @@ use support::schemas::{Checked, ended};
 use tautline::Qos;
 use tautline::example_interfaces::action::Fibonacci;
 use tautline::example_interfaces::srv::AddTwoInts;
-use tautline_bag::{BagError, Event, FileReader, Stamp, files_of};
+use tautline_bag::{BagError, Event, FileReader, Stamp, files_of, index_of};
 use tautline_msgs::Message;
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic, wall_ns};
 use tautline_rt::{self as rt, CoreSet, Policy, ThreadBuilder};
@@ -212,6 +212,33 @@ fn what_is_published_is_in_the_bag() {
     assert!(code == 0 && out.contains("10003 messages"), "{out}{errors}");
     let (code, _, errors) = place.run(&["record", "-a", "-o", "bag"]);
     assert!(code == 2 && errors.contains("'bag' exists already; choose another folder with -o"), "{errors}");
+}
+
+/// Times of reception are monotonic ones plus the offset that the bag states.
+#[test]
+fn the_offset_in_the_bag_is_that_of_its_times() {
+    let place = Place::new(54);
+    let publisher = place.publisher::<Count>("/count", Qos::default());
+    let (topic_type, qos) = (TopicType::new("demo_msgs/msg/Count"), Qos::keep_last(10));
+    let subscription =
+        place.participant.create_raw_subscription("/count", &topic_type, qos, Limits::default()).unwrap();
+    wait_for("a subscription", || publisher.subscription_count() == 1);
+    let recorder = place.record(&["/count"]);
+    place.wait_for_observer(publisher.gid());
+    (0..10).for_each(|n| publisher.publish(&Count { n }).unwrap());
+    let (code, _, errors) = recorder.end();
+    assert_eq!(code, 0, "{errors}");
+    let (_, metadata) = index_of(&files_of(&place.bag()).unwrap()[0]).unwrap().unwrap();
+    let session = &metadata.iter().find(|(name, _)| name == "tautline:session").unwrap().1;
+    let offset_ns: i64 = session["log_time_minus_monotonic_ns"].parse().unwrap();
+    let recorded = &place.read()["/count"];
+    assert_eq!(recorded.len(), 10);
+    // What is published during a poll has the time of the poll.
+    let is_exact = recorded.iter().any(|(stamp, _)| {
+        let released_ns = subscription.try_take().unwrap().unwrap().info().released_ns;
+        stamp.log_ns.cast_signed() - offset_ns == released_ns.cast_signed()
+    });
+    assert!(is_exact);
 }
 
 #[test]

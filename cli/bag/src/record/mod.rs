@@ -227,7 +227,8 @@ pub fn run(args: &RecordArgs) -> Outcome {
     let reader = Reader::new(producer, new_observers.observers, pace, stop.clone());
     let mut behind = match args.black_box {
         None => {
-            let writer = Writer::create(&folder, args.options(), session(domain)).map_err(failed)?;
+            let writer = Writer::create(&folder, args.options(), session(domain, reader.offset_ns()))
+                .map_err(failed)?;
             Behind::BagWriter(BagWriter::start(
                 writer,
                 consumer,
@@ -401,7 +402,7 @@ impl RecordArgs {
         Ok(black_box::Plan {
             folder: folder.to_owned(),
             options: Options { keep_files: None, ..self.options() },
-            session: session(domain),
+            session: session(domain, offset_ns),
             // The time before the alarm, and the time after it.
             span_ns: rt::clock::nanoseconds(span.saturating_add(self.after)),
             after_ns: rt::clock::nanoseconds(self.after),
@@ -435,9 +436,8 @@ impl RecordArgs {
 }
 
 /// The metadata of each file about the host and the recorder.
-fn session(domain: u32) -> BTreeMap<String, String> {
+fn session(domain: u32, offset_ns: i64) -> BTreeMap<String, String> {
     let (wall, monotonic) = (rt::clock::wall_ns(), rt::clock::monotonic_ns());
-    let offset = i128::from(wall) - i128::from(monotonic);
     [
         ("host", rt::host::name()),
         ("domain", domain.to_string()),
@@ -445,7 +445,7 @@ fn session(domain: u32) -> BTreeMap<String, String> {
         ("started_unix_ns", wall.to_string()),
         ("started_monotonic_ns", monotonic.to_string()),
         // Times of reception are CLOCK_MONOTONIC plus this, even if the wall clock is set.
-        ("log_time_minus_monotonic_ns", offset.to_string()),
+        ("log_time_minus_monotonic_ns", offset_ns.to_string()),
     ]
     .map(|(key, value)| (key.to_owned(), value))
     .into()
