@@ -167,6 +167,7 @@ fn what_was_last_is_written_when_it_is_asked_for() {
     recorder.hear("002_request: ");
     let second = numbers(&recorder.bag("002_request"));
     assert!(second.get("/scan").is_none_or(Vec::is_empty), "{second:?}");
+    assert_eq!(second["/map"], [2, 3]);
     let (code, report, folder) = recorder.end();
     assert_eq!(
         (code, report["bags"].as_array().unwrap().len(), &report["lost"]),

@@ -302,27 +302,13 @@ impl Work {
         let folder = self.plan.folder.join(format!("{:03}_{}", self.number, kind.name()));
         let mut writer = Writer::create(&folder, self.plan.options, self.plan.session.clone())?;
         self.channels.refresh();
-        let mut ids = Vec::new();
-        self.channels.write(&mut writer, &mut ids)?;
-        let until_ns = self.logged(due.due_ns);
         let (mut messages, mut span) = (0, None);
-        let mut failed = None;
-        while let Some(head) = self.head().filter(|head| head.log_ns <= until_ns) {
-            if span.is_none() {
-                messages += self.write_latched(&mut writer, &mut ids, head.log_ns)?;
-            }
-            span = Some((span.map_or(head.log_ns, |(first, _)| first), head.log_ns));
-            self.take(head);
-            match self.write(&mut writer, &mut ids, head) {
-                Ok(written) => messages += u64::from(written),
-                Err(full @ BagError::Full { .. }) => {
-                    failed = Some(full);
-                    break;
-                }
-                Err(error) => return Err(error),
-            }
-            self.latch(head);
-        }
+        let failed = match self.write_until(&mut writer, self.logged(due.due_ns), &mut messages, &mut span) {
+            Ok(()) => None,
+            // The bag is complete without the rest.
+            Err(full @ BagError::Full { .. }) => Some(full),
+            Err(error) => return Err(error),
+        };
         let beside = |name: &str| folder.join(name);
         let trace_events = self.tracing.as_ref().and_then(|tracing| tracing.write(&beside("taut.trace")));
         if let Some(run) = due.alarms.iter().find_map(|alarm| alarm.statistics.as_ref()) {
@@ -343,21 +329,47 @@ impl Work {
         failed.map_or(Ok(()), Err)
     }
 
+    /// Writes the messages that late joiners would get, and those in the ring that were received until then. Counts them; the span is from
+    /// the first one in the ring to the last.
+    fn write_until(
+        &mut self,
+        writer: &mut Writer,
+        until_ns: u64,
+        messages: &mut u64,
+        span: &mut Option<(u64, u64)>,
+    ) -> Result<(), BagError> {
+        let ids = &mut Vec::new();
+        self.channels.write(writer, ids)?;
+        while let Some(head) = self.head().filter(|head| head.log_ns <= until_ns) {
+            if span.is_none() {
+                self.write_latched(writer, ids, head.log_ns, messages)?;
+            }
+            *span = Some((span.map_or(head.log_ns, |(first, _)| first), head.log_ns));
+            self.take(head);
+            *messages += u64::from(self.write(writer, ids, head)?);
+            self.latch(head);
+        }
+        match span {
+            Some(_) => Ok(()),
+            None => self.write_latched(writer, ids, until_ns, messages),
+        }
+    }
+
     /// Writes the messages that late joiners would get at this time.
     fn write_latched(
         &mut self,
         writer: &mut Writer,
         ids: &mut Vec<TopicId>,
         log_ns: u64,
-    ) -> Result<u64, BagError> {
-        let mut messages = 0;
+        messages: &mut u64,
+    ) -> Result<(), BagError> {
         for (head, cdr) in
             self.latched.iter().flat_map(|latched| latched.messages.clone()).collect::<Vec<_>>()
         {
             self.scratch = cdr;
-            messages += u64::from(self.write(writer, ids, Head { log_ns, ..head })?);
+            *messages += u64::from(self.write(writer, ids, Head { log_ns, ..head })?);
         }
-        Ok(messages)
+        Ok(())
     }
 
     /// Writes the message in `scratch`. `false` if it is not a request of its service.
