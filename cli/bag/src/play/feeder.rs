@@ -17,7 +17,7 @@ use tautline_transport::Gid;
 /// Playing begins when this much of the bag's time has been read, or after reading for this long.
 const ENOUGH: Duration = Duration::from_secs(2);
 /// The most memory for the messages that a topic keeps for late joiners.
-const LATCHED_BYTES: usize = 64 << 20;
+pub const LATCHED_BYTES: usize = 64 << 20;
 /// The interval at which the feeder checks for room in the ring.
 const PERIOD: Duration = Duration::from_millis(1);
 
@@ -50,6 +50,8 @@ pub struct Feeder {
     pub given: u64,
     /// The messages that publishers had kept at this time. They are read from the bag once.
     pub latched: Option<(u64, Vec<(usize, OwnedMessage)>)>,
+    /// The number of messages that publishers had kept, and for which there was no memory.
+    pub unkept: u64,
     /// When filling the ring began, and the time of reception of its first message.
     pub filling: Option<(Instant, u64)>,
     /// The bag's seconds that are played in one second.
@@ -62,6 +64,8 @@ pub struct Fed {
     pub unplayable: Vec<(u64, Option<String>)>,
     /// The number of messages of topics that a damaged file does not describe.
     pub untold: u64,
+    /// The number of messages that publishers had kept, and for which there was no memory.
+    pub unkept: u64,
     /// The bag could not be read any further.
     pub failed: Option<BagError>,
     /// The number of damaged places in the bag, and a description of the first one.
@@ -74,6 +78,8 @@ pub struct Fed {
 struct Latched {
     messages: VecDeque<OwnedMessage>,
     bytes: usize,
+    /// The number of all messages so far, whether they are still kept or not.
+    published: usize,
 }
 
 impl Latched {
@@ -81,11 +87,17 @@ impl Latched {
         if most == 0 {
             return;
         }
+        self.published += 1;
         self.bytes += message.cdr.len();
         self.messages.push_back(message);
         while self.messages.len() > most || self.bytes > LATCHED_BYTES && self.messages.len() > 1 {
             self.bytes -= self.messages.pop_front().map_or(0, |message| message.cdr.len());
         }
+    }
+
+    /// The number of messages that were left out although the publisher had kept them.
+    fn missing(&self, most: usize) -> u64 {
+        (self.published.min(most) - self.messages.len()) as u64
     }
 }
 
@@ -130,7 +142,7 @@ impl Feeder {
         let first = self.bag.damage().next();
         let damage = first
             .map(|(path, damage)| format!("{}: at byte {}: {}", path.display(), damage.offset, damage.what));
-        Fed { unplayable, untold, failed, damaged: self.bag.damages(), damage }
+        Fed { unplayable, untold, unkept: self.unkept, failed, damaged: self.bag.damages(), damage }
     }
 
     /// Feeds the bag once, from a time of reception on, and returns the number of messages.
@@ -187,6 +199,8 @@ impl Feeder {
         let latched = match self.latched.take() {
             Some((of_ns, latched)) if of_ns == from_ns => latched,
             _ => {
+                let missing = kept.iter().zip(&self.parts).map(|(kept, part)| kept.missing(part.kept));
+                self.unkept += missing.sum::<u64>();
                 let of_part = |(part, kept): (usize, &mut Latched)| {
                     kept.messages.drain(..).map(|message| (part, message)).collect::<Vec<_>>()
                 };
@@ -320,5 +334,27 @@ fn body(schema: Option<&Arc<Schema>>, cdr: &[u8]) -> Result<Body, String> {
             let message = DynamicMessage::from_cdr(schema, cdr).map_err(|error| error.to_string())?;
             Ok(Body::Anew(message.to_body()))
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tautline_bag::Stamp;
+
+    #[test]
+    fn kept_messages_without_memory_are_counted() {
+        let mut latched = Latched::default();
+        let mut keep = |bytes: usize| {
+            let (stamp, cdr) = (Stamp::default(), vec![0; bytes]);
+            latched.keep(OwnedMessage { topic: 0, stamp, cdr }, 3);
+            (latched.messages.len(), latched.missing(3))
+        };
+        let long = LATCHED_BYTES / 2;
+        assert_eq!([10, 10, 10, 10].map(&mut keep), [(1, 0), (2, 0), (3, 0), (3, 0)]);
+        assert_eq!([long, long, long].map(&mut keep), [(3, 0), (2, 1), (2, 1)]);
+        // The last one stays, however long it is.
+        assert_eq!(keep(LATCHED_BYTES + 1), (1, 2));
+        assert_eq!([10, 10, 10].map(keep), [(1, 2), (2, 1), (3, 0)]);
     }
 }

@@ -203,6 +203,7 @@ pub fn run(args: &PlayArgs) -> Outcome {
         times: args.again.map_or(Some(1), |times| times.map(NonZeroU64::get)),
         given: 0,
         latched: None,
+        unkept: 0,
         filling: None,
         rate: args.rate,
     };

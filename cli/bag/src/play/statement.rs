@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reports at the end what was played, what was not, and how late.
 
-use super::feeder::Fed;
+use super::feeder::{Fed, LATCHED_BYTES};
 use super::player::Played;
 use super::{PlayArgs, Role};
 use crate::record::failed;
@@ -125,6 +125,13 @@ impl Statement<'_> {
             return Err(Failure::no(format!(
                 "{} messages of topics that the damaged bag did not tell of before were not played; `taut bag recover` it",
                 self.fed.untold
+            )));
+        }
+        if self.fed.unkept > 0 {
+            return Err(Failure::no(format!(
+                "{} messages that publishers had kept were not played: of more than {} MiB of one publisher the oldest are left out",
+                self.fed.unkept,
+                LATCHED_BYTES >> 20
             )));
         }
         if let Some(refusal) = self.played.refusal {
