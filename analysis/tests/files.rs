@@ -399,6 +399,22 @@ fn hosts_need_remote_topics_and_a_network() {
 }
 
 #[test]
+fn each_host_says_what_happens_to_what_the_file_does_not_list() {
+    let refuses = |text: &str| {
+        let file = SystemFile::parse(text).unwrap_or_else(|problems| panic!("{problems}"));
+        file.cores().iter().map(|core| core.refuses_unlisted).collect::<Vec<_>>()
+    };
+    let stated = |value: &str| with("cores = 2", &format!("cores = 2\nunlisted = \"{value}\""));
+    assert_eq!(refuses(GOOD), [false, false]);
+    assert_eq!(refuses(&stated("warn")), [false, false]);
+    assert_eq!(refuses(&stated("refuse")), [true, true]);
+    expect(
+        &stated("refused"),
+        &[(4, "unknown `unlisted` \"refused\" in host `robot`: did you mean `refuse`?")],
+    );
+}
+
+#[test]
 fn locks_and_groups() {
     let lock = "locks = [{ resource = \"map\", length = \"1ms\" }]";
     let across = with("wcet = \"2ms\"", &format!("wcet = \"2ms\"\n{lock}")).replacen(

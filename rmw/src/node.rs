@@ -128,12 +128,12 @@ exported! {
         let behind = unsafe { behind_context(context)? };
         behind.check()?;
         let handle = behind.participant.create_node_in_enclave(name, namespace, &behind.enclave)?;
+        let full_name = format!("{}/{name}", namespace.trim_end_matches('/'));
+        behind.system.tell_of_ungoverned(&full_name)?;
         let participant = behind.participant.for_node(&handle);
         let signal = Arc::<Signal>::default();
         behind.watch_graph(&signal);
         let graph_guard = guard::create(context, signal)?;
-        let full_name = format!("{}/{name}", namespace.trim_end_matches('/'));
-        behind.system.warn_of_ungoverned(&full_name);
         let endpoints = Mutex::default();
         let traced = tautline_trace::node_init(behind.participant.trace_id(), name, namespace);
         let node =

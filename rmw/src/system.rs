@@ -215,19 +215,33 @@ impl System {
         thread.as_ref().filter(|_| all().all(|(of, _)| is_alike(of)))
     }
 
-    /// Warns of a callback that the file does not list although it lists the node: its execution time is in no bound.
-    fn warn_of_unlisted(&self, node: &str, topic: &str) {
+    /// Tells of a callback that the file does not list although it lists the node: its execution time is in no bound.
+    ///
+    /// # Errors
+    /// The file says that it is refused.
+    fn tell_of_unlisted(&self, node: &str, topic: &str) -> Result {
         let is_known = || self.callbacks.iter().any(|callback| Self::is_of(callback, node));
         let own =
             topic.strip_prefix("request:").and_then(|service| service.strip_prefix(node)?.strip_prefix('/'));
         let is_usual =
             OF_EVERY_NODE.contains(&topic) || own.is_some_and(|name| SERVICES_OF_EVERY_NODE.contains(&name));
-        if !is_usual && self.is_governing() && is_known() {
-            tracing::warn!(
-                "the system file has no callback of node `{node}` with `topic = \"{topic}\"`: the bounds of callbacks whose executor also runs \
-                 that one do not hold; add it to the file, or give it an executor of its own"
-            );
+        if is_usual || !self.is_governing() || !is_known() {
+            return Ok(());
         }
+        self.warn_or_refuse(&format!(
+            "the system file has no callback of node `{node}` with `topic = \"{topic}\"`: the bounds of callbacks whose executor also runs \
+             that one do not hold; add it to the file, or give it an executor of its own"
+        ))
+    }
+
+    /// Warns of what the file does not list, or refuses it, as the file says.
+    fn warn_or_refuse(&self, text: &str) -> Result {
+        if let Some(file) = self.file.as_ref().filter(|file| file.refuses_unlisted) {
+            let host = &file.host;
+            return Err(Error::other(format!("{text}; host `{host}` of the file has `unlisted = \"refuse\"`")));
+        }
+        tracing::warn!("{text}");
+        Ok(())
     }
 
     /// Sets the depth of a reliable subscription's keep-last queue to that of the file, if stated. Logs a warning if a keep-last queue is
@@ -320,13 +334,16 @@ impl System {
         Ok(Some(Timer { measured, thread }))
     }
 
-    /// Warns of what the file lacks for `node`, a full name: the whole node, or how to recognise threads that run only timers.
-    pub(crate) fn warn_of_ungoverned(&self, node: &str) {
+    /// Tells what the file lacks for `node`, a full name: the whole node, or how to recognise threads that run only timers.
+    ///
+    /// # Errors
+    /// The file says that a node which it does not list is refused.
+    pub(crate) fn tell_of_ungoverned(&self, node: &str) -> Result {
         if self.is_governing() && !self.callbacks.iter().any(|callback| Self::is_of(callback, node)) {
-            return self.warn_of_unlisted_node(node);
+            return self.tell_of_unlisted_node(node);
         }
         if self.thread_of_timers(node).is_some() {
-            return;
+            return Ok(());
         }
         let threads = self.callbacks.iter().zip(&self.threads).enumerate();
         for (index, (callback, thread)) in threads {
@@ -348,28 +365,32 @@ impl System {
                 );
             }
         }
+        Ok(())
     }
 
-    /// Warns of a node that the file does not list, unless its name says that it helps another one or a tool.
-    fn warn_of_unlisted_node(&self, node: &str) {
+    /// Tells of a node that the file does not list, unless its name says that it helps another one or a tool.
+    ///
+    /// # Errors
+    /// The file says that it is refused.
+    fn tell_of_unlisted_node(&self, node: &str) -> Result {
         let name = node.rsplit('/').next().unwrap_or(node);
         if name.starts_with('_') || OF_HELPERS.iter().any(|prefix| name.starts_with(prefix)) {
-            return;
+            return Ok(());
         }
         let mut all = self.file.iter().flat_map(LoadedSystem::callbacks);
         if let Some(callback) = all.find(|callback| Self::is_of(callback, node)) {
-            return tracing::warn!(
+            return self.warn_or_refuse(&format!(
                 "node `{node}` runs in an executor of ROS, but callback `{}` of the system file is one of Tautline: nothing governs its threads; \
                  state `client = \"rclcpp\"` or \"rclpy\" for its callbacks",
                 callback.entry.name
-            );
+            ));
         }
         let known: BTreeSet<&str> = self.callbacks.iter().map(|callback| &*callback.entry.node).collect();
         let known = Vec::from_iter(known).join("`, `");
-        tracing::warn!(
+        self.warn_or_refuse(&format!(
             "node `{node}` is not in the system file, which has `{known}` on this host: nothing governs its threads; list its callbacks, \
              or correct its name there"
-        );
+        ))
     }
 
     /// The statistics of this name, which are created if there are none.
@@ -412,7 +433,7 @@ impl System {
         }
         .execution_time(is_named);
         if entry.is_none() {
-            self.warn_of_unlisted(node, topic);
+            self.tell_of_unlisted(node, topic)?;
         }
         let Some(statistics) = self.statistics.as_ref().filter(|_| is_named || is_topic) else {
             return Ok((options.name, None));

@@ -314,6 +314,7 @@ publishers = [source.create_publisher(String, topic, 10) for topic in topics]
 if how == "more":
     ours = rclpy.create_node("ours")
     unknown = nodes[0].create_subscription(String, "/unknown", heard, 10)
+    client = nodes[0].create_client(SetBool, "asked")
     services = [nodes[0].create_service(SetBool, name, lambda request, response: response) for name in ("listed", "own")]
     print("runs", flush=True)
     sys.stdin.read()
@@ -394,7 +395,7 @@ fn what_file_and_node_lack_of_each_other_is_named() {
     let report = report(&domain);
     drop(process.stdin.take());
     assert!(process.wait().unwrap().success(), "it starts all the same: {}", words());
-    for topic in ["/unknown", "request:/one/own"] {
+    for topic in ["/unknown", "response:/one/asked", "request:/one/own"] {
         let text = format!("no callback of node `/one/listener` with `topic = \"{topic}\"`");
         assert!(words().contains(&text), "{topic}: {}", words());
     }
@@ -406,7 +407,7 @@ fn what_file_and_node_lack_of_each_other_is_named() {
     }
     assert_eq!(
         words().matches("add it to the file").count(),
-        2,
+        3,
         "of every node's services nothing: {}",
         words()
     );
@@ -417,6 +418,50 @@ fn what_file_and_node_lack_of_each_other_is_named() {
     assert_eq!(row["violations"][0]["name"], "not running", "{report}");
     let fix = "start node `/one/listener`, with TAUT_SYSTEM set, and a subscription of /gone, or take it out of the file";
     assert!(row["violations"][0]["explanation"].as_str().unwrap().contains(fix), "{report}");
+}
+
+/// What a node has and the file lacks is refused in the words of the warning, where the file says so; with the rest of it, all that the node has
+/// starts, and so it does where callbacks are only measured.
+#[test]
+fn what_the_file_lacks_is_refused_where_it_says_so() {
+    let Some(domain) = Domain::new(193).filter(|_| may_be_realtime()) else { return };
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let run = |more: &str, realtime: &str| {
+        let text = wrong_file(0, more).replace("cores = [0]\n", "cores = [0]\nunlisted = \"refuse\"\n");
+        std::fs::write(file.path(), text).unwrap();
+        words_of(&mut wrong(&domain, "more", file.path(), realtime, &[]))
+    };
+    let node = |name: &str, priority: u8| {
+        format!(
+            "[nodes.{name}]\nclient = \"rclpy\"\n[callbacks.{name}]\nnode = \"{name}\"\nperiod = \"1s\"\nwcet = \"1ms\"\npriority = {priority}\n"
+        )
+    };
+    let callback = |name: &str, topic: &str| {
+        format!(
+            "[callbacks.{name}]\nnode = \"/one/listener\"\ntopic = \"{topic}\"\ngroup = \"all\"\nwcet = \"1ms\"\n[topics.\"{topic}\"]\nperiod = \"1s\"\n"
+        )
+    };
+    let unlisted = |topic: &str| format!("no callback of node `/one/listener` with `topic = \"{topic}\"`");
+    let mut more = String::new();
+    let (is_good, out, errors) = run(&more, "off");
+    assert!(is_good && out.trim() == "runs", "{out}{errors}");
+    for (lacking, entry) in [
+        ("node `/source` is not in the system file".to_owned(), node("source", 30)),
+        ("node `/ours` is not in the system file".to_owned(), node("ours", 31)),
+        (unlisted("/unknown"), callback("unknown", "/unknown")),
+        (unlisted("response:/one/asked"), callback("asked", "response:/one/asked")),
+        (unlisted("request:/one/listed"), callback("listed", "request:/one/listed")),
+        (unlisted("request:/one/own"), callback("own", "request:/one/own")),
+    ] {
+        let (is_good, out, errors) = run(&more, "required");
+        assert!(!is_good && out.is_empty(), "{lacking}: {out}{errors}");
+        for part in [&*lacking, "host `here` of the file has `unlisted = \"refuse\"`"] {
+            assert!(errors.contains(part), "{part}: {errors}");
+        }
+        more += &entry;
+    }
+    let (is_good, out, errors) = run(&more, "required");
+    assert!(is_good && out.trim() == "runs", "{out}{errors}");
 }
 
 /// A thread that runs the file's callbacks is the file's, and what makes the bounds wrong is named.

@@ -20,6 +20,8 @@ pub struct LoadedSystem {
     pub checked: CheckedSystem,
     /// The priority of the host's samplers.
     pub sampler_priority: u8,
+    /// Whether nodes and callbacks of ROS 2 that the file does not list are refused, instead of being warned of.
+    pub refuses_unlisted: bool,
 }
 
 impl LoadedSystem {
@@ -34,7 +36,9 @@ impl LoadedSystem {
             let wanted = host.unwrap_or("none").to_owned();
             SystemError::Host { path: path.into(), wanted, known: hosts.join(", ") }
         })?;
-        let sampler = file.cores().iter().find(|core| core.host == host).map(|core| core.sampler_priority);
+        let core = file.cores().iter().find(|core| core.host == host);
+        let sampler_priority = core.map_or(90, |core| core.sampler_priority);
+        let refuses_unlisted = core.is_some_and(|core| core.refuses_unlisted);
         let checked = file.check();
         for warning in &checked.warnings {
             tracing::warn!("{}: {warning}", path.display());
@@ -43,7 +47,7 @@ impl LoadedSystem {
             tracing::warn!("{}: not schedulable; see `taut check {0}`", path.display());
         }
         let path = path.into();
-        Ok(LoadedSystem { path, host, file, checked, sampler_priority: sampler.unwrap_or(90) })
+        Ok(LoadedSystem { path, host, file, checked, sampler_priority, refuses_unlisted })
     }
 
     /// The callbacks of this host.

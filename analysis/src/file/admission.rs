@@ -304,7 +304,13 @@ impl Union {
     /// Adds a thread as a task of its own: on each core of the machine, if it may run on several.
     fn add_thread(&mut self, origin: Origin, thread: &LooseThread) {
         let here = |entry: &(usize, &CoreEntry)| entry.1.host == HERE;
-        let core = |number| CoreEntry { host: HERE.to_owned(), number, sampler_priority: 99, stall_ns: 0 };
+        let core = |number| CoreEntry {
+            host: HERE.to_owned(),
+            number,
+            sampler_priority: 99,
+            stall_ns: 0,
+            refuses_unlisted: false,
+        };
         let cores: Vec<usize> = match thread.core {
             Some(number) => vec![self.core(core(number), Overheads::NONE)],
             None => {

@@ -400,8 +400,13 @@ impl Builder<'_> {
 
     fn core_entry(&self, host: usize, number: usize) -> CoreEntry {
         let host = &self.file.hosts[host];
-        let (sampler_priority, stall_ns) = (host.sampler_priority, host.stall);
-        CoreEntry { host: host.name.clone(), number, sampler_priority, stall_ns }
+        CoreEntry {
+            host: host.name.clone(),
+            number,
+            sampler_priority: host.sampler_priority,
+            stall_ns: host.stall,
+            refuses_unlisted: host.refuses_unlisted,
+        }
     }
 
     /// The topics that the file declares, then those that are only published.

@@ -30,6 +30,7 @@ pub(super) struct Host {
     pub costs: Costs,
     pub sampler_priority: u8,
     pub stall: u64,
+    pub refuses_unlisted: bool,
 }
 
 pub(super) struct Node {

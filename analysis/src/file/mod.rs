@@ -251,6 +251,8 @@ pub struct CoreEntry {
     /// Longest time for which it may stall, in nanoseconds. Queues are deep enough for a stall; response-time
     /// bounds do not include it.
     pub stall_ns: u64,
+    /// Whether nodes and callbacks of ROS 2 that the file does not list are refused on the host, instead of being warned of.
+    pub refuses_unlisted: bool,
 }
 
 /// Why a system file could not be used.

@@ -107,9 +107,11 @@ fn host(name: String, mut section: Section<'_>) -> Host {
     let cores = cores(&name, &mut section);
     let sampler_priority = priority(&mut section, "sampler_priority").map_or(90, |p| p.value);
     let stall = stall(&mut section);
+    let unlisted = section.choice("unlisted", &[("warn", false), ("refuse", true)]);
+    let refuses_unlisted = unlisted.is_some_and(|choice| choice.value);
     let costs = costs(&mut section);
     section.finish();
-    Host { name, cores, costs, sampler_priority, stall }
+    Host { name, cores, costs, sampler_priority, stall, refuses_unlisted }
 }
 
 fn cores(name: &str, section: &mut Section<'_>) -> Vec<usize> {
