@@ -2,7 +2,7 @@
 // A node on rcl alone, whose callbacks are busy for a time. Each `--` begins a thread that waits for the topics after it:
 //   busy NODE -- TOPIC MICROSECONDS [TOPIC MICROSECONDS ...] [-- ...]
 // It says `runs` once all threads have waited, and at the end of its input what they did, with times of CLOCK_MONOTONIC in ns:
-//   thread THREAD IS_FIFO PRIORITY
+//   thread THREAD IS_FIFO PRIORITY FAULTS    FAULTS: page faults of its jobs, but of those whose NUMBER is FIRST
 //   job THREAD CALLBACK NUMBER WAITS READY BEGINS ENDS    WAITS and READY: before and after the wait that reported it
 //   gap THREAD FROM TO                                    the thread did not run, and did not sleep
 
@@ -24,6 +24,8 @@
 // Threads, and topics of each.
 #define MOST 8
 #define ROOM 20000
+// The number of a topic's first message, with which its thread warms up.
+#define FIRST UINT64_MAX
 // A thread that only reads the clock reads it more often.
 #define GAP_NS 3000
 #define PATIENCE_NS (20 * 1000 * 1000)
@@ -49,6 +51,7 @@ struct thread {
   struct callback callbacks[MOST];
   size_t callback_count, job_count, gap_count;
   int is_fifo, priority;
+  long faults;
   struct job * jobs;
   struct gap * gaps;
 };
@@ -87,14 +90,15 @@ static void note_gap(struct thread * thread, int64_t from_ns, int64_t to_ns)
 
 struct mark {
   int64_t now_ns, used_ns;
-  long sleeps;
+  long sleeps, faults;
 };
 
 static struct mark mark(void)
 {
   struct rusage usage;
   getrusage(RUSAGE_THREAD, &usage);
-  return (struct mark) {now_ns(), clock_ns(CLOCK_THREAD_CPUTIME_ID), usage.ru_nvcsw};
+  long faults = usage.ru_minflt + usage.ru_majflt;
+  return (struct mark) {now_ns(), clock_ns(CLOCK_THREAD_CPUTIME_ID), usage.ru_nvcsw, faults};
 }
 
 // What the thread did not use of the time since then, unless it slept. Returns when that was.
@@ -160,7 +164,9 @@ static void * run(void * of)
       note_since(thread, since);
       struct job job = {i, message.data, waits_ns, ready_ns, now_ns(), 0};
       work(thread, thread->callbacks[i].busy_ns);
-      since = mark();
+      struct mark end = mark();
+      thread->faults += job.number == FIRST ? 0 : end.faults - since.faults;
+      since = end;
       job.ends_ns = since.now_ns;
       thread->jobs[thread->job_count++] = job;
     }
@@ -218,7 +224,7 @@ int main(int count, char ** arguments)
   for (int i = 0; i < thread_count; i++) {
     thread = &threads[i];
     pthread_join(thread->id, NULL);
-    printf("thread %d %d %d\n", i, thread->is_fifo, thread->priority);
+    printf("thread %d %d %d %ld\n", i, thread->is_fifo, thread->priority, thread->faults);
     for (size_t n = 0; n < thread->job_count; n++) {
       struct job * job = &thread->jobs[n];
       printf(

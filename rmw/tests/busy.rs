@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Random systems of unchanged nodes under `order = "priority"`: a program on rcl alone (`busy.c`), with a thread for each group, gets the
-//! messages of the analysis's simulation at their times. Each thread's jobs begin in the order that the simulation's rule gives, and none
-//! takes longer than its bound, except for what something else took from the core, which is measured beside.
+//! messages of the analysis's simulation at their times. Each thread's jobs begin in the order that the simulation's rule gives, none has a page
+//! fault, and none takes longer than its bound, except for what something else took from the core, which is measured beside.
 //! `SYSTEMS` says how many (1,000 take seven minutes, for which nextest does not wait, but `cargo test` does), `TAUT_SEED` which.
 
 #[path = "../../analysis/tests/runtime/mod.rs"]
@@ -138,6 +138,8 @@ struct Job {
 #[derive(Default)]
 struct Executor {
     fifo_priority: Option<u64>,
+    /// Page faults of its jobs.
+    faults: u64,
     jobs: Vec<Job>,
     gaps: Vec<Span>,
 }
@@ -149,7 +151,9 @@ fn parsed(text: &str, threads: usize) -> Vec<Executor> {
         let numbers: Vec<u64> = numbers.split(' ').map(|number| number.parse().unwrap()).collect();
         let executor = &mut all[numbers[0] as usize];
         match (kind, &numbers[1..]) {
-            ("thread", &[is_fifo, priority]) => executor.fifo_priority = (is_fifo == 1).then_some(priority),
+            ("thread", &[is_fifo, priority, faults]) => {
+                (executor.fifo_priority, executor.faults) = ((is_fifo == 1).then_some(priority), faults);
+            }
             ("job", &[_, FIRST, ..]) => {}
             ("job", &[callback, number, waits_ns, ready_ns, _, ends_ns]) => executor.jobs.push(Job {
                 callback: callback as usize,
@@ -395,13 +399,14 @@ fn a_program_on_rcl_keeps_order_and_bounds() {
         }
         for (thread, members) in seen_here.members.iter().enumerate() {
             let priority = group_priority(thread).into();
-            assert_eq!(seen_here.executors[thread].fifo_priority, Some(priority));
+            let executor = &seen_here.executors[thread];
+            assert_eq!((executor.fifo_priority, executor.faults), (Some(priority), 0));
             let simulated = seen.steps.iter().filter_map(|(_, step)| match step {
                 Step::Begun { callback, .. } if members.contains(callback) => Some(*callback),
                 _ => None,
             });
             alike += usize::from(simulated.zip(seen_here.order(thread)).all(|(one, other)| one == other));
-            jobs += seen_here.executors[thread].jobs.len();
+            jobs += executor.jobs.len();
             threads += 1;
         }
     }
