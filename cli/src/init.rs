@@ -3,6 +3,7 @@
 
 mod running;
 
+use crate::report::overheads::measured_lines;
 use crate::trace::{self, record};
 use crate::verb::{CommonArgs, End, Failure, Outcome, time};
 use clap::Args;
@@ -22,7 +23,8 @@ const TEMPLATE: &str = include_str!("init.toml");
 ///
 /// The file describes a small robot and passes `taut check`; change it until it describes yours. With --from-running it describes what
 /// runs in the domain: nodes of Tautline and of ROS 2 on rmw_tautline, their callbacks, topics, periods and execution times as a trace
-/// shows them. What is guessed is marked as such. An existing file is never overwritten.
+/// shows them, and what executors of ROS 2 use, if their nodes run with TAUT_OVERHEADS=on. What is guessed is marked as such. An existing
+/// file is never overwritten.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut init
@@ -57,12 +59,12 @@ pub fn run(args: &InitArgs) -> Outcome<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     let refuse = |error: trace::TraceError| Failure::unusable(error.to_string());
-    let recording = match &args.from_trace {
-        Some(trace) => trace::file::read(trace).map_err(refuse)?,
-        None => observe(args).map_err(refuse)?,
+    let (recording, overheads) = match &args.from_trace {
+        Some(trace) => (trace::file::read(trace).map_err(refuse)?, Vec::new()),
+        None => (observe(args).map_err(refuse)?, measured_lines(args.common.domain()?)?),
     };
     recording.warnings.iter().for_each(|warning| eprintln!("taut: warning: {warning}"));
-    let described = running::describe(&recording);
+    let described = running::describe(&recording, &overheads);
     if described.callbacks == 0 {
         return Err(Failure::no(format!(
             "no callback ran while the domain was observed, so there is nothing to describe; longer: --seconds {}",

@@ -842,7 +842,8 @@ rclpy.shutdown()
 thread.join()
 "#;
 
-/// `taut init` takes the processor time of callbacks, and knows timers by what they publish; what a killed process recorded does not run.
+/// `taut init` takes the processor time of callbacks and of their executor, and knows timers by what they publish; what a killed process recorded
+/// does not run.
 #[test]
 fn unchanged_nodes_become_a_file_with_their_timers() {
     let Some(domain) = seen(87) else { return };
@@ -851,7 +852,7 @@ fn unchanged_nodes_become_a_file_with_their_timers() {
     let (mut killed, _) = started(domain.python(ASLEEP).env("TAUT_TRACE", "on"));
     killed.kill().unwrap();
     killed.wait().unwrap();
-    let (process, _) = started(&mut domain.python(ASLEEP));
+    let (process, _) = started(domain.python(ASLEEP).env("TAUT_OVERHEADS", "on"));
     let said = taut(&domain, &["init", "--from-running", "--seconds", "2", file.to_str().unwrap()]);
     end(process);
     let text = std::fs::read_to_string(&file).unwrap_or_else(|error| panic!("{error}: {said}"));
@@ -865,9 +866,13 @@ fn unchanged_nodes_become_a_file_with_their_timers() {
         let of = |name: &str| callback[name].as_f64().unwrap();
         assert!((90.0..110.0).contains(&of("period_ms")) && of("wcet_ms") < 50.0, "{text}");
     }
-    for part in
-        ["publishes = [\"/tick\", \"/tock\"]", "# guess: a timer", "# guess: the longest processor time of "]
-    {
+    for part in [
+        "publishes = [\"/tick\", \"/tock\"]",
+        "# guess: a timer",
+        "# guess: the longest processor time of ",
+        "\nrclpy = \"",
+        " callbacks, and 20 % more",
+    ] {
         assert!(text.contains(part), "{part}: {text}");
     }
 }

@@ -59,11 +59,12 @@ pub fn of_those_that_run(mut recording: Recording) -> Recording {
     recording
 }
 
-pub fn describe(recording: &Recording) -> Described {
+/// `overheads` are lines of `[overheads]`, each with where its value comes from.
+pub fn describe(recording: &Recording, overheads: &[(String, String)]) -> Described {
     let threads = threads(recording);
     let callbacks = callbacks(recording, &threads);
     let mut file = File { text: String::new(), guesses: 0 };
-    file.head(recording, &threads);
+    file.head(recording, &threads, overheads);
     file.nodes(recording, &callbacks);
     file.topics(&rates(recording, &callbacks));
     let placed: Vec<_> =
@@ -380,7 +381,7 @@ impl File {
         let _ = writeln!(self.text, "{line}");
     }
 
-    fn head(&mut self, recording: &Recording, threads: &Threads) {
+    fn head(&mut self, recording: &Recording, threads: &Threads, overheads: &[(String, String)]) {
         let events = recording.events.iter().map(|timed| timed.event.time_ns);
         let seconds =
             events.clone().max().unwrap_or(0).saturating_sub(events.min().unwrap_or(0)) as f64 / 1e9;
@@ -399,6 +400,7 @@ impl File {
         self.line("\n[overheads]");
         self.guess("context_switch = \"2us\"", "of a common machine");
         self.guess("per_message = \"20us\"", "`taut demo` measures it");
+        overheads.iter().for_each(|(line, source)| self.guess(line, source));
     }
 
     fn nodes(&mut self, recording: &Recording, callbacks: &[Callback]) {

@@ -12,7 +12,7 @@ use tautline_analysis::file::{CheckedSystem, FileError, SystemFile};
 mod explain;
 mod host;
 mod json;
-mod overheads;
+pub mod overheads;
 pub mod run;
 mod table;
 mod verdict;

@@ -19,9 +19,8 @@ struct Measured {
     executor: ExecutorSnapshot,
 }
 
-/// Prints what was measured, and the lines for the system file.
-pub fn report(args: &ReportArgs) -> Result<Verdict, ReportError> {
-    let domain = args.common.domain().map_err(ReportError::Domain)?;
+/// What the processes of `domain` measure.
+fn measured(domain: u32) -> Result<Vec<Measured>, ReportError> {
     let (processes, _) =
         tautline_system::shared_statistics(domain).map_err(|error| ReportError::Domain(error.into()))?;
     let mut found = Vec::new();
@@ -31,6 +30,21 @@ pub fn report(args: &ReportArgs) -> Result<Verdict, ReportError> {
         let executors = snapshot.executors.into_iter().filter(|executor| executor.overhead.n() > 0);
         found.extend(executors.map(|executor| Measured { process: label.clone(), executor }));
     }
+    Ok(found)
+}
+
+/// The lines of `[overheads]` that the processes of `domain` measure, each with where its value comes from.
+pub fn measured_lines(domain: u32) -> Result<Vec<(String, String)>, ReportError> {
+    let line = |(library, value, longest): (&str, String, &ExecutorSnapshot)| {
+        (format!("{library} = \"{value}\""), source(longest))
+    };
+    Ok(lines(&measured(domain)?).map(line).collect())
+}
+
+/// Prints what was measured, and the lines for the system file.
+pub fn report(args: &ReportArgs) -> Result<Verdict, ReportError> {
+    let domain = args.common.domain().map_err(ReportError::Domain)?;
+    let found = measured(domain)?;
     if found.is_empty() {
         return Err(ReportError::NoOverheads { domain });
     }
@@ -45,11 +59,7 @@ pub fn report(args: &ReportArgs) -> Result<Verdict, ReportError> {
         write_table(&head, 3, found.iter().map(|measured| (true, measured.cells())).collect(), &mut out)?;
         writeln!(out, "\n[overheads]")?;
         for (library, value, longest) in lines(&found) {
-            let (us, n) = (us(longest.overhead.max()), longest.overhead.n());
-            writeln!(
-                out,
-                "{library} = \"{value}\" # at most {us:.1}us in {n} callbacks, and {MARGIN} % more"
-            )?;
+            writeln!(out, "{library} = \"{value}\" # {}", source(longest))?;
         }
         for (library, ..) in lines(&found).filter(|(.., longest)| !longest.is_alone) {
             let note = format!(
@@ -71,6 +81,12 @@ fn lines(found: &[Measured]) -> impl Iterator<Item = (&str, String, &ExecutorSna
         let ns = longest.overhead.max().as_nanos().saturating_mul(u128::from(100 + MARGIN)).div_ceil(100);
         Some((library, format!("{}us", ns.div_ceil(1_000)), longest))
     })
+}
+
+/// Where the value for the file comes from.
+fn source(longest: &ExecutorSnapshot) -> String {
+    let (us, n) = (us(longest.overhead.max()), longest.overhead.n());
+    format!("at most {us:.1}us in {n} callbacks, and {MARGIN} % more")
 }
 
 impl Measured {
