@@ -170,6 +170,7 @@ fn what_came_before_the_first_wait_is_no_job() {
     let (process, heard) = started(command.env("TAUT_SYSTEM", file.path()).env("TAUT_REALTIME", "off"));
     assert_eq!(heard.trim(), "['early', 'five']");
     let report = report(&domain);
+    let picture = json_of(&domain, &["top", "--once", "--json"]);
     end(process);
     let of = |name: &str| {
         let rows = report["callbacks"].as_array().unwrap();
@@ -182,6 +183,12 @@ fn what_came_before_the_first_wait_is_no_job() {
         [(1, 4, true), (0, 0, true)],
         "of short, only five was taken: {report}"
     );
+    for row in report["callbacks"].as_array().unwrap() {
+        let bound_ms = &row["predicted"]["response_ms"];
+        let mut shown = picture["callbacks"].as_array().unwrap().iter();
+        let shown = shown.find(|of| of["name"] == row["name"]).unwrap();
+        assert!(bound_ms.is_number() && shown["bound_ms"] == *bound_ms, "{row} {picture}");
+    }
 }
 
 /// Five topics, three messages each, all there before an unchanged executor of rclpy begins.
@@ -492,6 +499,16 @@ fn threads_that_the_file_does_not_expect_are_governed_and_named() {
         "{errors}"
     );
     assert!(errors.contains("use one executor for them, with one thread, or name two groups"), "{errors}");
+    let mut text = wrong_file(0, "").replace("group = \"all\"\n", "");
+    text = text.replace("[groups.all]\norder = \"any\"\npriority = 40\n", "");
+    for (name, priority) in [("one", 41), ("two", 40)] {
+        let head = format!("[callbacks.{name}]\n");
+        text = text.replace(&head, &format!("{head}priority = {priority}\n"));
+    }
+    std::fs::write(file.path(), text).unwrap();
+    let errors = run("one");
+    let text = "one executor runs callbacks of two threads of the system file, 'cb:one' and 'cb:two': give each an executor";
+    assert!(errors.contains(text), "{errors}");
 }
 
 /// Without rights, and under a file for another machine, a node is refused, with the fix; that it is only measured is a choice.
@@ -596,6 +613,12 @@ fn load_of_unchanged_nodes_is_admitted_or_refused() {
     let forced = end(start(&second, "second", "force"));
     assert!(forced.contains("runs by force") && forced.contains("runs\n"), "{forced}");
     assert!(!forced.contains("has depth 1, but"), "it was made deep enough: {forced}");
+    let depth = forced.split_once("callback `second`: `/work` has depth ").unwrap().1;
+    let (depth, said) = depth.split_once(", ").unwrap();
+    assert!(
+        depth.parse::<usize>().unwrap() > 1 && said.starts_with("as the system file says, not 1"),
+        "{forced}"
+    );
     // The same file is one system; a callback of it that runs already is load once more.
     let again = end(start(&first, "first", "check"));
     assert!(again.contains("callback 'first'") && again.contains("is not admitted"), "{again}");
