@@ -3,13 +3,15 @@
 
 mod support;
 
+use futures::StreamExt;
 use serde_json::{Value, json};
 use std::ffi::OsStr;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use support::{Domain, STRING, built, matched, may_be_realtime, publisher, text_body, wait_until, words_of};
-use tautline_transport::Qos;
+use tautline::std_msgs::msg::String as Text;
+use tautline::{Context, Node, Qos, Realtime};
 
 /// A domain for a test of what `taut` says of it.
 fn seen(number: u32) -> Option<Domain> {
@@ -1065,6 +1067,72 @@ fn a_graph_of_ten_nodes_keeps_its_bounds() {
         }
     }
     assert_eq!(report["unknown"], json!([]), "{report}");
+}
+
+/// One file and one table for a chain over two nodes of rclpy and one of Tautline between them.
+#[test]
+fn a_chain_over_nodes_of_rclpy_and_tautline_is_measured() {
+    let Some(domain) = seen(195) else { return };
+    const STAGES: [(&str, &str, &str, &str); 3] = [
+        ("detect", "rclpy", "/image", "/detected"),
+        ("track", "tautline", "/detected", "/tracked"),
+        ("plan", "rclpy", "/tracked", "/planned"),
+    ];
+    let mut text = "[hosts.here]\ncores = 1\n[overheads]\nrclpy = \"1ms\"\n[topics.\"/image\"]\nperiod = \"1s\"\n[[chains]]\nname = \"through\"\n\
+                    path = [\"detect\", \"track\", \"plan\"]\ndeadline = \"1s\"\n"
+        .to_owned();
+    for (name, client, heard, published) in STAGES {
+        text += &format!(
+            "[nodes.{name}]\nclient = \"{client}\"\n[callbacks.{name}]\nnode = \"{name}\"\ntopic = \"{heard}\"\npublishes = [\"{published}\"]\n\
+             wcet = \"1ms\"\n"
+        );
+    }
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), text).unwrap();
+    let context = Context::builder().domain(domain.number).realtime(Realtime::Off).system(file.path());
+    let context = context.build().unwrap();
+    let mut node = Node::create(context.clone(), "track", "").unwrap();
+    let mut detected = node.subscribe::<Text>("/detected", Qos::keep_last(10)).unwrap();
+    let tracked = node.create_publisher::<Text>("/tracked", Qos::keep_last(10)).unwrap();
+    let track = async move {
+        while detected.next().await.is_some() {
+            tracked.publish(&Text { data: "some".to_owned() }).unwrap();
+        }
+    };
+    let _callback = node.spawn_callback(context.callback("track").unwrap(), track).unwrap();
+    let sampler = context.clone();
+    let sampler = std::thread::spawn(move || sampler.spin().unwrap());
+    let start = |(name, _, heard, published): (&str, &str, &str, &str)| {
+        let mut command = domain.python(OF_TEN);
+        command.args([name, heard, published]).env("TAUT_SYSTEM", file.path()).env("TAUT_REALTIME", "off");
+        started(&mut command).0
+    };
+    let processes = [STAGES[0], STAGES[2]].map(start);
+    let image = publisher(&domain.participant, "/image", STRING, Qos::keep_last(10));
+    matched(&image, 1);
+    let mut report = Value::Null;
+    wait_until("three jobs of each", || {
+        image.publish(&text_body("some")).unwrap();
+        report = self::report(&domain);
+        let rows = report["callbacks"].as_array().unwrap();
+        rows.iter().all(|row| row["measured"]["jobs"].as_u64() >= Some(3))
+    });
+    processes.into_iter().for_each(end);
+    context.shutdown();
+    sampler.join().unwrap();
+    let of_python = |row: &Value| {
+        let is_python = row["measured"]["process"].as_str().unwrap().starts_with("python");
+        (row["name"].as_str().unwrap().to_owned(), is_python)
+    };
+    let rows: Vec<_> = report["callbacks"].as_array().unwrap().iter().map(of_python).collect();
+    let expected = STAGES.map(|(name, client, ..)| (name.to_owned(), client == "rclpy"));
+    assert_eq!(rows, expected, "{report}");
+    let chain = &report["chains"][0];
+    assert_eq!(
+        (&chain["name"], &chain["callbacks"]),
+        (&json!("through"), &json!(["detect", "track", "plan"]))
+    );
+    assert!(chain["longest_ms"].as_f64().unwrap() > 0.0 && chain["predicted_ms"].is_number(), "{report}");
 }
 
 /// Nothing was prepared: no system file, no trace.
