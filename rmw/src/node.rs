@@ -129,7 +129,7 @@ exported! {
         behind.check()?;
         let handle = behind.participant.create_node_in_enclave(name, namespace, &behind.enclave)?;
         let full_name = format!("{}/{name}", namespace.trim_end_matches('/'));
-        behind.system.tell_of_ungoverned(&full_name)?;
+        behind.system.check_node(&full_name)?;
         let participant = behind.participant.for_node(&handle);
         let signal = Arc::<Signal>::default();
         behind.watch_graph(&signal);

@@ -215,11 +215,11 @@ impl System {
         thread.as_ref().filter(|_| all().all(|(of, _)| is_alike(of)))
     }
 
-    /// Tells of a callback that the file does not list although it lists the node: its execution time is in no bound.
+    /// Warns of, or refuses, a callback that the file does not list although it lists the node: its execution time is in no bound.
     ///
     /// # Errors
     /// The file says that it is refused.
-    fn tell_of_unlisted(&self, node: &str, topic: &str) -> Result {
+    fn check_callback_is_listed(&self, node: &str, topic: &str) -> Result {
         let is_known = || self.callbacks.iter().any(|callback| Self::is_of(callback, node));
         let own =
             topic.strip_prefix("request:").and_then(|service| service.strip_prefix(node)?.strip_prefix('/'));
@@ -238,7 +238,9 @@ impl System {
     fn warn_or_refuse(&self, text: &str) -> Result {
         if let Some(file) = self.file.as_ref().filter(|file| file.refuses_unlisted) {
             let host = &file.host;
-            return Err(Error::other(format!("{text}; host `{host}` of the file has `unlisted = \"refuse\"`")));
+            return Err(Error::other(format!(
+                "{text}; host `{host}` of the file has `unlisted = \"refuse\"`"
+            )));
         }
         tracing::warn!("{text}");
         Ok(())
@@ -334,13 +336,13 @@ impl System {
         Ok(Some(Timer { measured, thread }))
     }
 
-    /// Tells what the file lacks for `node`, a full name: the whole node, or how to recognise threads that run only timers.
+    /// Warns of, or refuses, what the file lacks for `node`, a full name: the whole node, or how to recognise threads that run only timers.
     ///
     /// # Errors
     /// The file says that a node which it does not list is refused.
-    pub(crate) fn tell_of_ungoverned(&self, node: &str) -> Result {
+    pub(crate) fn check_node(&self, node: &str) -> Result {
         if self.is_governing() && !self.callbacks.iter().any(|callback| Self::is_of(callback, node)) {
-            return self.tell_of_unlisted_node(node);
+            return self.check_node_is_listed(node);
         }
         if self.thread_of_timers(node).is_some() {
             return Ok(());
@@ -368,11 +370,11 @@ impl System {
         Ok(())
     }
 
-    /// Tells of a node that the file does not list, unless its name says that it helps another one or a tool.
+    /// Warns of, or refuses, a node that the file does not list, unless its name says that it helps another one or a tool.
     ///
     /// # Errors
     /// The file says that it is refused.
-    fn tell_of_unlisted_node(&self, node: &str) -> Result {
+    fn check_node_is_listed(&self, node: &str) -> Result {
         let name = node.rsplit('/').next().unwrap_or(node);
         if name.starts_with('_') || OF_HELPERS.iter().any(|prefix| name.starts_with(prefix)) {
             return Ok(());
@@ -433,7 +435,7 @@ impl System {
         }
         .execution_time(is_named);
         if entry.is_none() {
-            self.tell_of_unlisted(node, topic)?;
+            self.check_callback_is_listed(node, topic)?;
         }
         let Some(statistics) = self.statistics.as_ref().filter(|_| is_named || is_topic) else {
             return Ok((options.name, None));
