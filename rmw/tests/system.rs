@@ -389,7 +389,8 @@ fn what_file_and_node_lack_of_each_other_is_named() {
     let silent =
         "[callbacks.silent]\nnode = \"/one/listener\"\nperiod = \"1s\"\nwcet = \"1ms\"\npriority = 30\n"
             .to_owned();
-    let ours = silent.replace("silent", "ours").replace("/one/listener", "/ours") + "[nodes.\"/ours\"]\n";
+    let ours = silent.replace("silent", "ours").replace("/one/listener", "/ours").replace("30", "20");
+    let ours = ours + "[nodes.\"/ours\"]\n";
     let more = [callback("gone", "/gone"), callback("listed", "request:/one/listed"), silent, ours].concat();
     std::fs::write(file.path(), wrong_file(0, &more)).unwrap();
     let mut command = wrong(&domain, "more", file.path(), "required", &[]);
