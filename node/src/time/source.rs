@@ -288,6 +288,7 @@ impl ClockWaiter {
     }
 
     /// Reads the new messages of `/clock`, and registers the task as [`register`](Self::register) does.
+    #[cfg(feature = "tf2_msgs")]
     pub(crate) fn update(&self, context: &Context<'_>) {
         self.register(context);
         self.source.update();
