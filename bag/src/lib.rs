@@ -24,6 +24,7 @@ mod reader;
 mod record;
 mod recover;
 mod sqlite;
+mod summary;
 mod unpack;
 mod writer;
 

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reads a bag from its first byte to its last, with any content.
 
-use crate::index::{BEFORE_CHECKSUM, topics_of};
 use crate::parts::{EIO, Form, MAGIC, form_of, in_order};
 use crate::qos::joined;
 use crate::record::{Records, parse};
+use crate::summary::{BEFORE_CHECKSUM, definition, topic, topics_of};
 use crate::{BagError, Compression, Definition, MOST_BYTES, Stamp, Topic};
 use mcap::records::{ChunkHeader, Record, op};
 use std::borrow::Cow;
@@ -145,10 +145,6 @@ pub(crate) struct Extent {
     /// The extent was read, so its damage is counted.
     pub(crate) is_read: bool,
 }
-
-/// Keys of a channel's metadata, as rosbag2 has them.
-pub(crate) const TYPE_HASH: &str = "topic_type_hash";
-pub(crate) const QOS: &str = "offered_qos_profiles";
 
 fn number(bytes: &[u8]) -> u64 {
     bytes.try_into().map_or(0, u64::from_le_bytes)
@@ -591,18 +587,4 @@ fn unpack<'b>(header: &ChunkHeader, data: &'b [u8]) -> Result<Cow<'b, [u8]>, Str
         return Err("its checksum is another".to_owned());
     }
     Ok(bytes)
-}
-
-/// The definition that a schema has.
-pub fn definition(encoding: &str, data: &[u8]) -> Option<Definition> {
-    let is_there = !encoding.is_empty() || !data.is_empty();
-    is_there.then(|| Definition { encoding: encoding.to_owned(), data: data.to_vec() })
-}
-
-/// The topic of a channel whose type has this name and definition.
-pub(crate) fn topic(channel: &mcap::records::Channel, schema: (String, Option<Definition>)) -> Topic {
-    let mut metadata = channel.metadata.clone();
-    let [type_hash, qos] = [TYPE_HASH, QOS].map(|key| metadata.remove(key).unwrap_or_default());
-    let ((type_name, definition), encoding) = (schema, channel.message_encoding.clone());
-    Topic { name: channel.topic.clone(), type_name, type_hash, encoding, definition, qos, metadata }
 }

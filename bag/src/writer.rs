@@ -3,7 +3,8 @@
 
 use crate::claim::{Claim, Claimed, Position, create};
 use crate::metadata::{Description, write_metadata};
-use crate::reader::{Attachment, FileSummary, QOS, TYPE_HASH};
+use crate::reader::{Attachment, FileSummary};
+use crate::summary::{QOS, TYPE_HASH};
 use crate::{BagError, Compression, Definition, MOST_BYTES, Stamp, Topic};
 use mcap::records::{MessageHeader, Metadata};
 use std::borrow::Cow;

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reading a `.db3` file of any rosbag2: schemas 1 (Dashing) to 4 (Iron and later). Its content is untrusted.
 
-use crate::reader::{Message, definition};
+use crate::reader::Message;
+use crate::summary::definition;
 use crate::{BagError, Definition, Stamp, Topic};
 use rusqlite::config::DbConfig;
 use rusqlite::types::ValueRef;
