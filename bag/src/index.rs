@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Reads the summary at the end of a file without the rest.
+//! What a file has, by the summary at its end, without reading the rest.
 
 use crate::reader::FileSummary;
 use crate::record::{Records, parse};

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The summary at the end of a file, which repeats what the file has.
+//! Finds the summary at the end of a file, checks it, and reads the topics that it repeats.
 
 use crate::parts::{EIO, MAGIC};
 use crate::record::{Records, parse};

@@ -68,7 +68,7 @@ impl TransformListener {
     /// Creates a buffer of [`Limits::bytes`], and spawns the callback that fills it.
     ///
     /// # Errors
-    /// [`Error::TransformLimits`](crate::Error::TransformLimits), else as
+    /// [`Error::TransformLimits`](crate::Error::TransformLimits), [`Error::ClockUsers`](crate::Error::ClockUsers), else as
     /// [`Node::create_publisher`](crate::Node::create_publisher) and [`Node::spawn_callback`](crate::Node::spawn_callback).
     pub fn new(node: &mut Node, options: CallbackOptions, limits: Limits) -> Result<TransformListener> {
         let (mut writer, buffer) = Buffer::new(limits)?;

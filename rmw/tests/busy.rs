@@ -401,7 +401,7 @@ fn a_program_on_rcl_keeps_order_and_bounds() {
             let priority = group_priority(thread).into();
             let executor = &seen_here.executors[thread];
             assert_eq!(executor.fifo_priority, Some(priority));
-            // Of data none; pages of code that first run when a job is late are read then.
+            // A page of code may be read as it first runs, such as when a job is late.
             assert!(executor.faults <= 3, "{} page faults in {} jobs", executor.faults, executor.jobs.len());
             let simulated = seen.steps.iter().filter_map(|(_, step)| match step {
                 Step::Begun { callback, .. } if members.contains(callback) => Some(*callback),

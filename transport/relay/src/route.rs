@@ -171,8 +171,9 @@ struct TopicSubscription {
     subscription: Box<RawSubscription>,
     /// Losses that the subscription has reported so far.
     lost: u64,
-    /// The time at which another one took its place, or its topic ended.
-    replaced: Option<Instant>,
+    /// The time at which another one took its place, or its topic ended, and how many samples are still taken at most: those that had come
+    /// by then.
+    replaced: Option<(Instant, u64)>,
 }
 
 impl TopicSubscription {
@@ -186,9 +187,21 @@ impl TopicSubscription {
         lost - std::mem::replace(&mut self.lost, lost)
     }
 
+    /// Notes that a sample was taken.
+    fn note_taken(&mut self) {
+        if let Some((_, left)) = &mut self.replaced {
+            *left = left.saturating_sub(1);
+        }
+    }
+
+    /// The number of samples that are still taken from it; `None`: it is the present one.
+    fn left(&self) -> Option<u64> {
+        self.replaced.map(|(_, left)| left.min(self.subscription.waiting()))
+    }
+
     /// Whether no more samples are taken from it.
     fn is_over(&self) -> bool {
-        self.replaced.is_some_and(|since| self.subscription.waiting() == 0 || since.elapsed() >= SETTLE_TIME)
+        self.left() == Some(0) || self.replaced.is_some_and(|(since, _)| since.elapsed() >= SETTLE_TIME)
     }
 }
 
@@ -240,43 +253,48 @@ impl<O: Egress> TopicRoute<O> {
         let waker = self.flag.waker();
         let mut context = Context::from_waker(&waker);
         for _ in 0..TURN {
-            let Some(TopicSubscription { subscription, .. }) = self.subscriptions.front() else {
-                return false;
-            };
-            match subscription.poll_take(&mut context) {
-                Poll::Ready(Some(sample)) => self.pass(sample, sources, egress),
-                // Samples may wait until others are returned, which sets the flag.
-                Poll::Ready(None) | Poll::Pending => {
-                    if !self.drop_ended() {
-                        return false;
-                    }
+            self.drop_over();
+            let Some(taken) = self.subscriptions.front_mut() else { return false };
+            match taken.subscription.poll_take(&mut context) {
+                Poll::Ready(Some(sample)) => {
+                    taken.note_taken();
+                    self.pass(sample, sources, egress);
                 }
+                // Samples may wait until others are returned, which sets the flag.
+                Poll::Ready(None) | Poll::Pending if !self.drop_over() => {
+                    self.drop_ended();
+                    return false;
+                }
+                Poll::Ready(None) | Poll::Pending => {}
             }
         }
         self.flag.set();
         true
     }
 
-    /// Drops the first subscription, if it is over, or else senders of ended publishers. Returns whether it dropped the subscription.
-    fn drop_ended(&mut self) -> bool {
-        if self.subscriptions.front().is_some_and(TopicSubscription::is_over)
-            && let Some(mut over) = self.subscriptions.pop_front()
-        {
-            O::lost(&self.topic, over.new_losses() + over.subscription.waiting());
-            return true;
+    /// Drops the first subscription, if it is over. Returns whether it was.
+    fn drop_over(&mut self) -> bool {
+        let is_over = self.subscriptions.front().is_some_and(TopicSubscription::is_over);
+        if is_over && let Some(mut over) = self.subscriptions.pop_front() {
+            O::lost(&self.topic, over.new_losses() + over.left().unwrap_or(0));
         }
-        if !self.ended.is_empty() {
-            let is_empty = self.subscriptions.iter().all(|taken| taken.subscription.waiting() == 0);
-            let senders = &mut self.senders;
-            self.ended.retain(|(gid, since)| {
-                let stays = !is_empty && since.elapsed() < SETTLE_TIME;
-                if !stays {
-                    senders.remove(gid);
-                }
-                stays
-            });
+        is_over
+    }
+
+    /// Drops the senders of ended publishers, once no samples wait or the time is over.
+    fn drop_ended(&mut self) {
+        if self.ended.is_empty() {
+            return;
         }
-        false
+        let is_empty = self.subscriptions.iter().all(|taken| taken.subscription.waiting() == 0);
+        let senders = &mut self.senders;
+        self.ended.retain(|(gid, since)| {
+            let stays = !is_empty && since.elapsed() < SETTLE_TIME;
+            if !stays {
+                senders.remove(gid);
+            }
+            stays
+        });
     }
 
     fn pass(&mut self, sample: RawSample, sources: &Sources, egress: &mut O) {
@@ -327,14 +345,16 @@ impl<O: Egress> TopicRoute<O> {
     /// Forwards the queued samples, and takes no others.
     pub(crate) fn end(&mut self) {
         if let Some(last) = self.subscriptions.back_mut() {
-            last.replaced = Some(Instant::now());
+            // Publishers have turns: meanwhile others' newer samples are taken, too.
+            let publishers = self.senders.len().max(1) as u64;
+            last.replaced = Some((Instant::now(), last.subscription.waiting().saturating_mul(publishers)));
         }
         self.flag.set();
     }
 
     /// Whether it has [ended](Self::end) and forwarded the queued samples. What it holds is then dropped.
     pub(crate) fn is_over(&mut self, sources: &Sources) -> bool {
-        while self.drop_ended() {}
+        while self.drop_over() {}
         let is_over = self.subscriptions.is_empty();
         if is_over {
             self.refresh(sources);

@@ -4,7 +4,7 @@
 use std::collections::VecDeque;
 use std::sync::mpsc;
 use std::time::Duration;
-use tautline_relay::{EarlyLimits, Egress, OutboundSample, Relay};
+use tautline_relay::{EarlyLimits, Egress, Last, OutboundSample, Relay};
 use tautline_rt::ThreadBuilder;
 use tautline_transport::{Limits, Participant, Qos, RawPublisher, TopicType};
 
@@ -112,12 +112,14 @@ struct HandOver;
 impl Egress for HandOver {
     type Key = &'static str;
     type Topic = mpsc::Sender<OutboundSample>;
-    type Sender = ();
+    type Sender = Last;
 
     const EARLY: EarlyLimits = Log::EARLY;
 
-    fn pass(&mut self, samples: &mut Self::Topic, (): &mut (), sample: OutboundSample) {
-        let _ = samples.send(sample);
+    fn pass(&mut self, samples: &mut Self::Topic, last: &mut Last, sample: OutboundSample) {
+        if last.admits(&sample) {
+            let _ = samples.send(sample);
+        }
     }
 
     fn dropped(_: &Self::Topic) {
@@ -140,21 +142,26 @@ fn what_waits_for_held_samples_is_taken_though_its_publisher_or_topic_has_ended(
         let subscribe = || relaying.create_relay_subscription("/x", &topic_type, qos, limits).unwrap();
         let publisher = participant.create_raw_publisher("/x", &topic_type, qos, limits).unwrap();
         let (samples, passed) = mpsc::channel();
-        relay.start_topic("/x", subscribe(), samples.clone(), vec![(publisher.gid(), ())]);
+        relay.start_topic("/x", subscribe(), samples.clone(), vec![(publisher.gid(), Last::default())]);
         (0..20).for_each(|_| publish(&publisher));
         let next = || passed.recv_timeout(Duration::from_secs(30)).expect("no sample");
         let mut held: VecDeque<_> = (0..limits.held).map(|_| next()).collect();
         match end {
             "publisher" => relay.close("/x", publisher.gid()),
             "topic" => relay.stop_topic("/x"),
-            _ => relay.start_topic("/x", subscribe(), samples, Vec::new()),
+            _ => {
+                relay.start_topic("/x", subscribe(), samples, Vec::new());
+                // In both subscriptions, or in the second alone.
+                (0..4).for_each(|_| publish(&publisher));
+            }
         }
         drop(publisher);
-        for n in 1..=20 {
+        let last = if end == "subscription" { 24 } else { 20 };
+        for n in 1..=last {
             let first = held.pop_front().unwrap();
             assert_eq!(first.port().1, n, "{end}");
             drop(first);
-            held.extend((n + (limits.held as u64) <= 20).then(next));
+            held.extend((n + (limits.held as u64) <= last).then(next));
         }
     }
 }
