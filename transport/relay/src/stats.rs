@@ -280,7 +280,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_reads_holds_nobody_up() {
+    fn a_reader_keeps_the_value_that_it_got() {
         let latest = Latest::new(1);
         let read = latest.get();
         latest.set(2);
