@@ -142,8 +142,6 @@ pub struct Ingress {
     early: Vec<Early>,
     early_bytes: usize,
     delivery: Delivery,
-    /// Whether messages of unknown publishers are ignored.
-    is_closed: bool,
 }
 
 /// How messages arrive at an ingress.
@@ -165,8 +163,8 @@ impl Ingress {
         senders: Senders,
         delivery: Delivery,
     ) -> Self {
-        let (numbers, early, early_bytes, is_closed) = Default::default();
-        Ingress { port, schema, counters, limiter, senders, numbers, early, early_bytes, delivery, is_closed }
+        let (numbers, early, early_bytes) = Default::default();
+        Ingress { port, schema, counters, limiter, senders, numbers, early, early_bytes, delivery }
     }
 
     /// Continues where `old` ended: sequence numbers reveal duplicates. But samples that a new port must keep for late joiners
@@ -195,18 +193,13 @@ impl Ingress {
         self.settle();
     }
 
-    /// Forwards only the last messages of publishers that have ended, i.e. are not `present`. Returns whether there are such publishers.
+    /// Of known publishers, forwards only the last messages of those that have ended, i.e. are not `present`. Returns whether there are
+    /// such publishers. One that comes now may send before it is announced: it stays unknown until then.
     pub fn close(&mut self, present: &BTreeSet<Gid>) -> bool {
-        self.is_closed = true;
-        self.senders.wanted.retain(|gid, _| !present.contains(gid));
-        !self.senders.wanted.is_empty()
-    }
-
-    fn role(&self, publisher: &Gid) -> SenderRole {
-        match self.senders.find(publisher) {
-            SenderRole::Unknown if self.is_closed => SenderRole::Other,
-            role => role,
-        }
+        let Senders { wanted, others } = &mut self.senders;
+        others.extend(wanted.keys().filter(|gid| present.contains(*gid)));
+        wanted.retain(|gid, _| !present.contains(gid));
+        !wanted.is_empty()
     }
 
     /// The counters of this ingress's messages.
@@ -221,7 +214,7 @@ impl Ingress {
 
     /// Whether messages of this publisher are ignored, because they arrive by another path.
     pub fn ignores(&self, publisher: &Gid) -> bool {
-        self.role(publisher) == SenderRole::Other
+        self.senders.find(publisher) == SenderRole::Other
     }
 
     /// A claimer, for use in a thread that may claim memory, if a message of this publisher needs memory that is not claimed yet.
@@ -248,7 +241,7 @@ impl Ingress {
     /// One look-up, one loan, one copy; validation in time linear in the body if the definition is known. The body of an unknown
     /// publisher is copied to the heap.
     pub fn receive<B: Body + ?Sized>(&mut self, body: &B, source: MessageMeta) {
-        match self.role(&source.publisher) {
+        match self.senders.find(&source.publisher) {
             SenderRole::Wanted(lifespan) => self.pass(body, source, lifespan),
             SenderRole::Other => {}
             SenderRole::Unknown => match self.delivery.early {
@@ -532,6 +525,17 @@ mod tests {
         ingress.delivery.early = None;
         ingress.receive(&text[..], source(Gid([9; 16]), 1));
         assert_eq!([take().is_some(), take().is_some()], [true, false]);
+
+        // All have ended: the last messages still come, and those of one that follows before it is announced.
+        assert!(ingress.close(&BTreeSet::from([one, other])));
+        for publisher in [new, Gid([8; 16]), other] {
+            ingress.receive(&text[..], source(publisher, 4));
+        }
+        assert_eq!([take().is_some(), take().is_some(), take().is_some()], [true, true, false]);
+        // It is there, and comes another way.
+        assert!(!ingress.close(&BTreeSet::from([new])));
+        ingress.receive(&text[..], source(new, 5));
+        assert!(take().is_none());
 
         // Older than an hour, or not, by the other host's stamp.
         const HOUR: Duration = Duration::from_secs(3600);
