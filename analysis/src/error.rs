@@ -135,6 +135,17 @@ pub enum AnalysisError {
         task: String,
     },
 
+    /// Its executor gives it no bound.
+    #[error(
+        "task `{task}` has no bounded response time: {reason}; use one SingleThreadedExecutor per callback group, each in its own thread"
+    )]
+    ByExecutor {
+        /// The task without a bound.
+        task: String,
+        /// Why.
+        reason: crate::system::Unbounded,
+    },
+
     /// Without a bound for one task, what it triggers or delays has none either.
     #[error(
         "task `{task}` has no bounded response time because `{cause}`, which triggers or delays it, has none"

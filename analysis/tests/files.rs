@@ -604,6 +604,55 @@ fn a_thousand_callbacks_on_eight_cores() {
     assert_eq!(bounded, 1_000);
 }
 
+#[test]
+fn an_executor_without_a_bound_is_named_with_the_callbacks_that_it_leaves_without() {
+    let text = |executor: &str, order: &str| {
+        format!(
+            "[hosts.robot]\ncores = 1\n[overheads]\nper_message = \"10us\"\nrclcpp = \"10us\"\n\
+             [nodes.ros]\nclient = \"rclcpp\"\nexecutor = \"{executor}\"\n[nodes.own]\n\
+             [topics.\"/scan\"]\nperiod = \"20ms\"\n[groups.main]\npriority = 20\n{order}\n\
+             [callbacks.high]\nnode = \"own\"\nperiod = \"10ms\"\nwcet = \"1ms\"\npriority = 30\n\
+             [callbacks.scan]\nnode = \"ros\"\ngroup = \"main\"\ntopic = \"/scan\"\nwcet = \"1ms\"\n{}\n\
+             [callbacks.tick]\nnode = \"ros\"\ngroup = \"main\"\nperiod = \"20ms\"\nwcet = \"1ms\"\n\
+             [callbacks.low]\nnode = \"own\"\nperiod = \"40ms\"\nwcet = \"1ms\"\npriority = 10\n",
+            if order.is_empty() { "" } else { "priority = 1" }
+        )
+    };
+    let checked = |executor: &str, order: &str| {
+        SystemFile::parse(&text(executor, order)).unwrap_or_else(|problems| panic!("{problems}")).check()
+    };
+    let ranked = "order = \"priority\"";
+    for (executor, order, without, why) in [
+        ("single-threaded", "", &[][..], ""),
+        ("single-threaded", ranked, &[], ""),
+        ("static-single-threaded", "", &[], ""),
+        ("static-single-threaded", ranked, &["tick"], "takes the messages of all priorities"),
+        ("events", "", &["scan", "tick"], "an EventsExecutor gets its messages"),
+        // Its polling takes time from lower priorities, and from no others.
+        ("multi-threaded", "", &["scan", "tick", "low"], "the threads of a MultiThreadedExecutor"),
+    ] {
+        let checked = checked(executor, order);
+        let unbounded = checked.callbacks.iter().filter(|callback| callback.response_overhead_ns.is_none());
+        let unbounded: Vec<_> = unbounded.map(|callback| callback.entry.name.as_str()).collect();
+        assert_eq!(unbounded, without, "{executor} {order}: {:?}", checked.warnings);
+        assert_eq!(checked.schedulable, without.is_empty(), "{executor} {order}: {:?}", checked.warnings);
+        let is_named = |warning: &String| warning.contains(why) && warning.contains("per callback group");
+        assert!(without.is_empty() || checked.warnings.iter().any(is_named), "{:?}", checked.warnings);
+        let of = |callback: &&CheckedCallback| callback.response_ns.is_none();
+        let free: Vec<_> = checked.callbacks.iter().filter(of).map(|callback| &callback.entry.name).collect();
+        assert_eq!(free, without, "without overheads, either");
+    }
+    for executor in ["events", "multi-threaded"] {
+        let part = format!(
+            "group `main` has `order = \"priority\"`, which a node's `executor = \"{executor}\"` does not"
+        );
+        expect(&text(executor, ranked), &[(14, &part)]);
+    }
+    let own = text("events", "").replace("client = \"rclcpp\"", "client = \"tautline\"");
+    let found = problems(&own).join("\n");
+    assert!(found.contains("node `ros` has an `executor`, but Tautline runs its callbacks"), "{found}");
+}
+
 /// By hand: 2 ms of its own, 2 x 10 us of switches, 300 us of the executor, 100 us per message of both.
 #[test]
 fn a_client_librarys_executor_is_charged_to_the_thread_of_its_callbacks() {

@@ -60,6 +60,37 @@ fn files_for_programs_of_rclcpp_are_schedulable() {
     }
 }
 
+/// A shell and a script get no number for a response time that nothing bounds.
+#[test]
+fn callbacks_of_a_multi_threaded_executor_are_named_and_have_no_bound() {
+    let directory = scratch("multi-threaded");
+    let file = "[hosts.robot]\ncores = 1\n[nodes.ros]\nclient = \"rclcpp\"\nexecutor = \"multi-threaded\"\n\
+                [topics.\"/scan\"]\nperiod = \"20ms\"\n\
+                [callbacks.scan]\ntopic = \"/scan\"\nwcet = \"1ms\"\n";
+    std::fs::write(directory.join("ros.toml"), file).unwrap();
+    let table = taut(&["check", "ros.toml"], &directory);
+    let out = text(&table.stdout);
+    assert_eq!(table.status.code(), Some(1), "{out}{}", text(&table.stderr));
+    for part in [
+        "task `scan` has no bounded response time: the threads of a MultiThreadedExecutor",
+        "use one SingleThreadedExecutor per callback group",
+        "Not schedulable: callback scan may miss the deadline.",
+    ] {
+        assert!(out.contains(part), "{part} in {out}");
+    }
+    let json = taut(&["check", "ros.toml", "--json"], &directory);
+    let json: Value = serde_json::from_slice(&json.stdout).unwrap();
+    let scan = &json["callbacks"][0];
+    assert_eq!(scan["executor"], "multi-threaded");
+    assert!(scan["response_ms"].is_null() && scan["response_overhead_ms"].is_null(), "{scan}");
+    let warnings = json["warnings"].as_array().unwrap();
+    assert!(
+        warnings.iter().any(|warning| warning.as_str().unwrap().contains("MultiThreadedExecutor")),
+        "{json}"
+    );
+    std::fs::remove_dir_all(directory).unwrap();
+}
+
 #[test]
 fn json_is_the_contract() {
     let out = taut(&["check", "two-hosts.toml", "--json"], &systems());

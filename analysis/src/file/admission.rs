@@ -6,8 +6,8 @@ use std::fmt;
 use std::time::Duration;
 
 use super::{
-    CallbackEntry, CheckedSystem, Client, CoreEntry, JoinPolicy, OverrunPolicy, SystemFile, WakeUp, locks,
-    reservations,
+    CallbackEntry, CheckedSystem, Client, CoreEntry, Executor, JoinPolicy, OverrunPolicy, SystemFile, WakeUp,
+    locks, reservations,
 };
 use crate::system::{Callback, Core, Relay};
 use crate::{Overheads, Reservation, Task};
@@ -339,6 +339,7 @@ impl Union {
                 name: thread.name.clone(),
                 node: thread.label.clone(),
                 client: Client::Tautline,
+                executor: Executor::SingleThreaded,
                 thread: format!("cb:{}", thread.name),
                 group: None,
                 core,

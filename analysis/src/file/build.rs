@@ -16,8 +16,8 @@ use super::sections;
 use super::streams::{First, Source, Streams};
 use super::version;
 use super::wake::{self, WakeUp};
-use super::{CallbackEntry, Client, CoreEntry, JoinPolicy, OverrunPolicy, SystemFile, TopicEntry};
-use crate::system::{Callback, Chain, Core, Matching, Part, Relay, System, Transfer};
+use super::{CallbackEntry, Client, CoreEntry, Executor, JoinPolicy, OverrunPolicy, SystemFile, TopicEntry};
+use crate::system::{Callback, Chain, Core, Matching, Part, Relay, System, Transfer, Unbounded};
 use crate::{Hold, Order, Overheads, Rank, Release, Task, Throttling};
 
 pub(super) fn build(text: &str) -> Result<SystemFile, Problems> {
@@ -236,7 +236,21 @@ impl Builder<'_> {
                 task = task.rank(self.rank(index, thread).map_or(timer, Rank::Of));
             }
         }
-        Callback { trigger, ..Callback::new(task, place.core) }
+        let unbounded = self.unbounded(index, thread);
+        Callback { trigger, unbounded, ..Callback::new(task, place.core) }
+    }
+
+    /// Why the executor of a callback gives it no bound.
+    fn unbounded(&self, index: usize, thread: usize) -> Option<Unbounded> {
+        let is_ranked = self.threads[thread].group.is_some_and(|group| self.file.groups[group].is_ranked());
+        match self.file.nodes[self.places[index].node].executor() {
+            Executor::MultiThreaded => Some(Unbounded::MultiThreaded),
+            Executor::Events => Some(Unbounded::Events),
+            Executor::StaticSingleThreaded if is_ranked && self.file.callbacks[index].topics.is_empty() => {
+                Some(Unbounded::TimerAfterMessages)
+            }
+            Executor::StaticSingleThreaded | Executor::SingleThreaded => None,
+        }
     }
 
     /// Returns the suffix of the name of a task that takes messages for a join: its topic, and its publisher if there are several.
@@ -447,6 +461,7 @@ impl Builder<'_> {
             name: declared.name.clone(),
             node: self.file.nodes[self.places[index].node].name.clone(),
             client: self.file.nodes[self.places[index].node].client,
+            executor: self.file.nodes[self.places[index].node].executor(),
             thread: format!("cb:{}", self.threads[thread].name),
             group: self.threads[thread].group.map(|group| self.file.groups[group].name.clone()),
             core: self.places[index].core,
@@ -518,6 +533,8 @@ fn orders(file: &Declared, places: &[Option<Place>], threads: &[Thread], problem
         let Some(group) = thread.group.map(|group| &file.groups[group]) else { continue };
         let ros = places[thread.callbacks[0]]
             .is_some_and(|place| file.nodes[place.node].client != Client::Tautline);
+        let executor = places[thread.callbacks[0]]
+            .map_or(Executor::SingleThreaded, |place| file.nodes[place.node].executor());
         let name = &group.name;
         match &group.order {
             Some(At { value: Order::Fifo, at }) if ros => problems.at(*at).add(format!(
@@ -528,6 +545,15 @@ fn orders(file: &Declared, places: &[Option<Place>], threads: &[Thread], problem
                 "group `{name}` is run by Tautline, where each callback with a priority has a thread: leave out \
                  `order`, or the group"
             )),
+            Some(At { value: Order::Priority, at })
+                if matches!(executor, Executor::MultiThreaded | Executor::Events) =>
+            {
+                problems.at(*at).add(format!(
+                    "group `{name}` has `order = \"priority\"`, which a node's `executor = \"{}\"` does not keep: leave out its `order`, or \
+                     use a SingleThreadedExecutor",
+                    executor.as_str()
+                ));
+            }
             Some(At { value: Order::Priority, at }) if group.priority.is_none() => problems.at(*at).add(format!(
                 "group `{name}` orders its callbacks by their priorities: give it a `priority`, too, that of its \
                  thread"

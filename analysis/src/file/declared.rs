@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The file as it is written: every section with its positions in the text, before names are resolved.
 use super::reader::At;
-use super::{Client, JoinPolicy, LinkPriority, OverrunPolicy};
+use super::{Client, Executor, JoinPolicy, LinkPriority, OverrunPolicy};
 use crate::{LockProtocol, Order, Reservation};
 
 /// How priorities are chosen for callbacks that name none.
@@ -36,6 +36,7 @@ pub(super) struct Host {
 pub(super) struct Node {
     pub name: String,
     pub client: Client,
+    pub executor: Option<At<Executor>>,
     pub host: Option<At<String>>,
     pub core: Option<At<i64>>,
     pub at: usize,
@@ -61,6 +62,12 @@ pub(super) struct Group {
     pub priority: Option<At<u8>>,
     /// Whether publishers wake its thread, if that is stated.
     pub direct_wake: Option<At<bool>>,
+}
+
+impl Node {
+    pub fn executor(&self) -> Executor {
+        self.executor.as_ref().map_or(Executor::SingleThreaded, |executor| executor.value)
+    }
 }
 
 impl Group {

@@ -72,6 +72,8 @@ pub struct CallbackEntry {
     pub node: String,
     /// The client library whose executors run that node's callbacks.
     pub client: Client,
+    /// Which of its executors.
+    pub executor: Executor,
     /// Name of the thread that runs it.
     pub thread: String,
     /// The group that the thread belongs to; `None` for a thread of its own.
@@ -197,6 +199,34 @@ pub enum Client {
     Tautline,
     Rclcpp,
     Rclpy,
+}
+
+/// The kind of executor that runs a node's callbacks, which decides what bounds they have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[allow(missing_docs, reason = "the names say it")]
+pub enum Executor {
+    #[default]
+    SingleThreaded,
+    StaticSingleThreaded,
+    MultiThreaded,
+    /// An EventsExecutor or EventsCBGExecutor.
+    Events,
+}
+
+impl Executor {
+    /// All of them.
+    pub const ALL: [Executor; 4] =
+        [Executor::SingleThreaded, Executor::StaticSingleThreaded, Executor::MultiThreaded, Executor::Events];
+
+    /// Its name in the file.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Executor::SingleThreaded => "single-threaded",
+            Executor::StaticSingleThreaded => "static-single-threaded",
+            Executor::MultiThreaded => "multi-threaded",
+            Executor::Events => "events",
+        }
+    }
 }
 
 /// Which messages go first over a link between hosts that is busy: Zenoh's priorities, the highest first.

@@ -51,6 +51,8 @@ pub(super) fn threads(file: &Declared, places: &[Option<Place>], problems: &Coll
                 Some("are not on one core: a group is one thread")
             } else if other.node != place.node && !(is_ros(other) && is_ros(place)) {
                 Some("are not of one node: only an executor of ROS 2 (`client`) runs several in a thread")
+            } else if file.nodes[other.node].executor() != file.nodes[place.node].executor() {
+                Some("are of nodes that state different kinds of `executor`: one executor runs a group")
             } else {
                 None
             }

@@ -2,7 +2,7 @@
 //! Reads the sections of the file: their keys, and the values allowed for each.
 use super::declared::{Callback, Chain, Costs, Declared, Group, Host, Node, Policy, Topic};
 use super::reader::{At, Section};
-use super::{Client, JoinPolicy, LinkPriority, OverrunPolicy};
+use super::{Client, Executor, JoinPolicy, LinkPriority, OverrunPolicy};
 use crate::{LockProtocol, Order, Reservation};
 use toml::de::DeValue;
 
@@ -169,9 +169,16 @@ fn node(name: String, mut section: Section<'_>) -> Node {
     let (host, core) = (section.text("host"), section.integer("core"));
     let clients = [("tautline", Client::Tautline), ("rclcpp", Client::Rclcpp), ("rclpy", Client::Rclpy)];
     let client = section.choice("client", &clients).map_or(Client::Tautline, |choice| choice.value);
+    let executor = section.choice("executor", &Executor::ALL.map(|executor| (executor.as_str(), executor)));
+    if let (Client::Tautline, Some(executor)) = (client, &executor) {
+        section.problem(executor.at).add(format!(
+            "node `{name}` has an `executor`, but Tautline runs its callbacks: state its `client`, \"rclcpp\" or \"rclpy\", too, or leave \
+             out `executor`"
+        ));
+    }
     let at = section.at;
     section.finish();
-    Node { name, client, host, core, at }
+    Node { name, client, executor, host, core, at }
 }
 
 fn topic(name: String, mut section: Section<'_>) -> Topic {

@@ -3,7 +3,7 @@
 use std::cmp::Ordering;
 
 use super::join::{self, JoinBound, Timing};
-use super::{System, Transfer};
+use super::{System, Transfer, Unbounded};
 use crate::level::{self, Effort, First};
 use crate::{AnalysisError, Order, Release, Response, Task};
 
@@ -108,6 +108,7 @@ pub(super) fn solve(system: &System, effort: &Effort) -> Result<Solved, Analysis
             let relayed = system.relays.iter().filter(|_| now != relays).filter_map(|relay| relay.source);
             relayed.for_each(|(i, _)| outcomes[i] = Err(diverges(&tasks[i], &outcomes[i], rounds)));
             grown.into_iter().for_each(|i| outcomes[i] = Err(diverges(&tasks[i], &outcomes[i], rounds)));
+            by_executor(system, &mut outcomes);
             without_bound(system, &order, &mut outcomes);
             joins
                 .iter_mut()
@@ -320,6 +321,16 @@ fn diverges(task: &Task, outcome: &Result<Response, AnalysisError>, rounds: u32)
     }
 }
 
+/// Removes the bounds of the callbacks to which their executors give none.
+fn by_executor(system: &System, outcomes: &mut Outcomes) {
+    for (outcome, callback) in outcomes.iter_mut().zip(&system.callbacks) {
+        // Divergence and overload reach further.
+        if let (Some(reason), true) = (callback.unbounded, outcome.is_ok()) {
+            *outcome = Err(AnalysisError::ByExecutor { task: callback.task.name.clone(), reason });
+        }
+    }
+}
+
 /// Removes the bounds of all callbacks that a callback without a bound triggers or delays.
 fn without_bound(system: &System, order: &[usize], outcomes: &mut Outcomes) {
     // Of each core, the priority up to which callbacks have no bound, and the cause.
@@ -339,13 +350,16 @@ fn without_bound(system: &System, order: &[usize], outcomes: &mut Outcomes) {
             let cause = match (source, &outcomes[i]) {
                 (Some(source), _) => source,
                 (_, Err(AnalysisError::Diverges { .. })) => i,
+                // What its threads use to poll is not known.
+                (_, Err(AnalysisError::ByExecutor { reason: Unbounded::MultiThreaded, .. })) => i,
                 _ => continue,
             };
             // Its releases are not known, so neither is the time that it takes from its level and those below.
             let (core, task) = (callback.core, &callback.task);
             let overheads = &system.cores[core].overheads;
             // All levels of the core, if its messages or its time may stop all.
-            let stops_all = task.per_message_ns(overheads) > 0 || overheads.throttling.is_some();
+            let is_late = !matches!(outcomes[cause], Err(AnalysisError::ByExecutor { .. })) || cause != i;
+            let stops_all = (is_late && task.per_message_ns(overheads) > 0) || overheads.throttling.is_some();
             let priority = if stops_all { u8::MAX } else { task.priority };
             if lost[core].is_none_or(|(lost, _)| lost < priority) {
                 lost[core] = Some((priority, cause));

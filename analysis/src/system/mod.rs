@@ -86,6 +86,35 @@ pub struct Callback {
     pub join: Option<Join>,
     /// The callback of which this is a copy on another core: a callback that may run on any core has the worst of the bounds.
     pub copy_of: Option<usize>,
+    /// Why its executor gives it no bound, if it gives none.
+    pub unbounded: Option<Unbounded>,
+}
+
+/// Why the executor of a callback gives it no bound.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Unbounded {
+    /// Several threads run it and others at one priority, in an order that they choose, and poll while they wait for one another.
+    MultiThreaded,
+    /// Another thread passes it on, and it runs in its executor's own order.
+    Events,
+    /// A timer of an executor that takes messages first, of which the RMW always reports more.
+    TimerAfterMessages,
+}
+
+impl std::fmt::Display for Unbounded {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Unbounded::MultiThreaded => {
+                "the threads of a MultiThreadedExecutor run callbacks in an order of their own, and poll while they wait for one another"
+            }
+            Unbounded::Events => {
+                "an EventsExecutor gets its messages from another thread, and runs callbacks in an order of its own"
+            }
+            Unbounded::TimerAfterMessages => {
+                "a StaticSingleThreadedExecutor takes the messages of all priorities before it runs a timer"
+            }
+        })
+    }
 }
 
 /// The time that a message takes from the end of one callback to the release of another.
@@ -135,7 +164,7 @@ impl Transfer {
 impl Callback {
     /// A callback with releases of its own.
     pub fn new(task: Task, core: usize) -> Self {
-        Self { task, core, trigger: None, join: None, copy_of: None }
+        Self { task, core, trigger: None, join: None, copy_of: None, unbounded: None }
     }
 
     /// Makes the messages of another callback trigger this one.

@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use serde::Serialize;
-use tautline_analysis::file::{self, CheckedSystem, JoinPolicy};
+use tautline_analysis::file::{self, CheckedSystem, Executor, JoinPolicy};
 
 use super::admit;
 use super::sensitivity::Growth;
@@ -30,6 +30,9 @@ struct Callback<'a> {
     core: usize,
     priority: u8,
     wake_up: WakeUp,
+    /// Present if it is not a single-threaded one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    executor: Option<&'static str>,
     #[serde(skip_serializing_if = "Option::is_none")]
     reservation: Option<Reservation>,
     period_ms: f64,
@@ -116,6 +119,9 @@ pub fn write(
         core: callback.core,
         priority: callback.entry.priority,
         wake_up: WakeUp::of(callback.entry.wake_up),
+        executor: Some(callback.entry.executor)
+            .filter(|executor| *executor != Executor::SingleThreaded)
+            .map(Executor::as_str),
         reservation: callback.entry.reservation.map(|of| Reservation {
             runtime_ms: ms(of.runtime_ns),
             period_ms: ms(of.period_ns),
