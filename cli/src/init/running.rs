@@ -21,6 +21,8 @@ struct Callback {
     node: String,
     process: u32,
     tid: u32,
+    /// Its subscription, or the first of several of its topic.
+    source: ObjectId,
     trigger: Trigger,
     runs: usize,
     longest_ns: u64,
@@ -117,6 +119,7 @@ fn callbacks(recording: &Recording, threads: &Threads) -> Vec<Callback> {
             node,
             process: run.process,
             tid: run.tid,
+            source: callback.parent,
             trigger,
             runs: 0,
             longest_ns: 0,
@@ -139,6 +142,26 @@ fn callbacks(recording: &Recording, threads: &Threads) -> Vec<Callback> {
         taken.insert(callback.key.clone());
     }
     callbacks
+}
+
+/// The nodes whose executor has several threads, by those that run a callback of one subscription, and the nodes that share a thread with them.
+fn multi_threaded(callbacks: &[Callback]) -> BTreeSet<&str> {
+    let is_same = |one: &Callback, other: &Callback| {
+        (one.process, one.source) == (other.process, other.source) && one.tid != other.tid
+    };
+    let of_topics = || callbacks.iter().filter(|callback| matches!(callback.trigger, Trigger::Topic(_)));
+    let several = of_topics().filter(|one| of_topics().any(|other| is_same(one, other)));
+    let mut nodes: BTreeSet<&str> = several.map(|callback| callback.node.as_str()).collect();
+    loop {
+        let of_nodes = callbacks.iter().filter(|callback| nodes.contains(callback.node.as_str()));
+        let threads: BTreeSet<_> = of_nodes.map(|callback| (callback.process, callback.tid)).collect();
+        let beside = callbacks.iter().filter(|callback| threads.contains(&(callback.process, callback.tid)));
+        let all: BTreeSet<_> = beside.map(|callback| callback.node.as_str()).collect();
+        if all.len() == nodes.len() {
+            return nodes;
+        }
+        nodes = all;
+    }
 }
 
 /// What a thread of a ROS executor did between its wake and its first take.
@@ -220,6 +243,7 @@ fn timers_of_thread(process: u32, tid: u32, rounds: &[Round]) -> Vec<Callback> {
             node: timer.node.to_owned(),
             process,
             tid,
+            source: ObjectId::NONE,
             trigger: Trigger::Unseen(timer.period_ns),
             runs: timer.rounds.len(),
             longest_ns: timer.rounds.iter().map(length_ns).max().unwrap_or(0),
@@ -406,6 +430,7 @@ impl File {
     fn nodes(&mut self, recording: &Recording, callbacks: &[Callback]) {
         let nodes: BTreeMap<_, _> =
             callbacks.iter().map(|callback| (&callback.node, callback.process)).collect();
+        let several = multi_threaded(callbacks);
         for (node, process) in nodes {
             self.line(&format!("\n[nodes.{}]", node_key(node)));
             let of_ros = recording.processes.get(&process).is_some_and(|of| {
@@ -419,6 +444,12 @@ impl File {
                 let name = exe.file_name().unwrap_or_default().to_string_lossy().into_owned();
                 let client = if name.starts_with("python") { "rclpy" } else { "rclcpp" };
                 self.line(&format!("client = \"{client}\""));
+                if several.contains(node.as_str()) {
+                    self.guess(
+                        "executor = \"multi-threaded\"",
+                        "several threads ran a callback of its executor",
+                    );
+                }
             }
         }
     }
@@ -564,6 +595,7 @@ mod tests {
             node: String::new(),
             process: 1,
             tid: 1,
+            source: id,
             trigger: Trigger::Topic("/imu".to_owned()),
             runs: 10,
             longest_ns: 1,
@@ -572,5 +604,31 @@ mod tests {
         };
         let rate = &rates(&recording, &[callback])["/imu"];
         assert_eq!((rate.messages, rate.regular), (10, Some((1000, 0))));
+    }
+
+    /// `/lidar` and `/map` are in one executor; `/radar` has two subscriptions of one topic, each in an executor of its own.
+    #[test]
+    fn one_subscription_in_several_threads_shows_a_multi_threaded_executor() {
+        let of = |node: &str, source: u64, tid: u32| Callback {
+            key: String::new(),
+            node: node.to_owned(),
+            process: 1,
+            tid,
+            source: ObjectId(source),
+            trigger: Trigger::Topic("/scan".to_owned()),
+            runs: 1,
+            longest_ns: 1,
+            is_exact: true,
+            publishes: BTreeSet::new(),
+        };
+        let callbacks = [
+            of("/lidar", 1, 10),
+            of("/lidar", 1, 11),
+            of("/lidar", 2, 12),
+            of("/map", 3, 12),
+            of("/radar", 4, 20),
+            of("/radar", 5, 21),
+        ];
+        assert_eq!(multi_threaded(&callbacks), BTreeSet::from(["/lidar", "/map"]));
     }
 }
