@@ -66,9 +66,9 @@ pub enum Error {
     /// A clock of another type was used as a ROS clock.
     #[error("the clock is not of type RosTime: only that one follows /clock and jumps")]
     ClockTypeNotRosTime,
-    /// Too many timers and sleeps on one node's ROS clock.
+    /// Too many timers, sleeps and transform listeners on one node's ROS clock.
     #[error(
-        "{max} timers and sleeps are on this node's ROS clock already: use another node, or a wall timer"
+        "{max} timers, sleeps and transform listeners are on this node's ROS clock already: use another node, or a wall timer"
     )]
     ClockUsers {
         /// The maximum.

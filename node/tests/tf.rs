@@ -7,6 +7,7 @@ mod common;
 mod heap;
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::Duration;
 
 use common::{context, eventually, spin};
 use futures::executor::block_on;
@@ -17,7 +18,7 @@ use tautline::tf::{
     to_message,
 };
 use tautline::tf2_msgs::msg::TFMessage;
-use tautline::{CallbackOptions, Context, Node, Qos};
+use tautline::{CallbackOptions, Context, Error, Node, Qos};
 
 /// Heap calls of the listener's thread, which is told by its name once it is asked.
 static CALLS: AtomicU64 = AtomicU64::new(0);
@@ -127,6 +128,16 @@ fn simulated_time_that_leaps_back_forgets_what_moved() {
         Err(LookupError::Extrapolation { .. })
     ));
     assert_eq!(buffer.counters().old, 0);
+}
+
+#[test]
+fn a_listener_is_one_of_those_on_its_nodes_ros_clock() {
+    let context = context(199);
+    let (mut node, listener) = listen(&context);
+    let second = Duration::from_secs(1);
+    let _timers: Vec<_> = (0..63).map(|_| node.create_timer(second).unwrap()).collect();
+    assert!(matches!(node.create_timer(second), Err(Error::ClockUsers { max: 64 })));
+    drop(listener);
 }
 
 #[test]

@@ -254,7 +254,10 @@ fn a_node_has_a_limited_number_of_timers_on_its_ros_clock() {
     let mut node = Node::create(ctx, "robot", "").unwrap();
     let timers: Vec<_> = (0..64).map(|_| node.create_timer(ms(1000)).unwrap()).collect();
     let error = node.create_timer(ms(1000)).map(drop).unwrap_err().to_string();
-    assert!(error.starts_with("64 timers and sleeps are on this node's ROS clock already"), "{error}");
+    assert!(
+        error.starts_with("64 timers, sleeps and transform listeners are on this node's ROS clock already"),
+        "{error}"
+    );
     drop(timers);
     assert!(node.create_timer(ms(1000)).is_ok());
     assert!(matches!(node.create_timer(Duration::ZERO), Err(Error::ZeroPeriod)));

@@ -27,7 +27,7 @@ const MEMORY: &[Claim] = &[
         "MAX_PENDING_REQUESTS: usize = 64;",
     ),
     ("callback threads with `direct_wake` | | 256 |", "transport/doorbell", "THREADS: usize = 256;"),
-    ("timers and sleeps on its ROS clock | | 64 |", "node/src", "WAITING: usize = 64;"),
+    ("timers, sleeps and transform listeners on its ROS clock | | 64 |", "node/src", "WAITING: usize = 64;"),
     (
         "threads that record trace events; events of others are counted as lost | | 64 |",
         "trace/src",
