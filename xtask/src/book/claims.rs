@@ -91,6 +91,16 @@ const DEPLOYMENT: &[Claim] = &[
     ("up to 1 KiB Zenoh's priority `interactive_high`", "transport/zenoh/src", "SMALL_BYTES: usize = 1024;"),
     ("from 64 KiB on `data_low`", "transport/zenoh/src", "BULK_BYTES: usize = 64 << 10;"),
     ("16 MiB of each", "transport/zenoh/src", "MOST_WAITING_BYTES: usize = 16 << 20;"),
+    (
+        "is still sent, for seven seconds at most",
+        "transport/relay/src",
+        "SETTLE_TIME: Duration = Duration::from_secs(7);",
+    ),
+    (
+        "until a minute after its end",
+        "transport/relay/src",
+        "ENDED_TIME: Duration = Duration::from_secs(60);",
+    ),
     ("at most 4096 are pending", "transport/zenoh/src", "MOST_PENDING: usize = 4096;"),
     (
         "more than 10 s old are counted as `clocks_differ`",
@@ -115,6 +125,7 @@ const BAGS: &[Claim] = &[
     ("an eighth of it, 32 MiB at most, holds chunks", "cli", "(self.budget / 8).clamp(8 << 10, 32 << 20)"),
     ("as many messages as fit in 1 MiB, up to 1,000", "cli", "QUEUE_BYTES: usize = 1 << 20;"),
     ("messages are already a quarter of a second old", "cli", "BEHIND_NS: i64 = 250_000_000;"),
+    ("of more than 64 MiB of a topic the oldest are left out", "cli", "LATCHED_BYTES: usize = 64 << 20;"),
     ("A chunk is written at least every half second", "cli", "FLUSH: Duration = Duration::from_millis(500);"),
     ("polled every 100 ms |", "cli", "STATISTICS_NS: u64 = 100_000_000;"),
     ("A thread at SCHED_FIFO 40 (`--priority`)", "cli", "PRIORITY: u8 = 40;"),
@@ -189,6 +200,39 @@ const OTHERS: &[(&str, Claim)] = &[
         ),
     ),
     ("docs/bridge.md", ("A path has at most eight domains", "transport/src", "MOST_HOPS: usize = 8;")),
+    (
+        "docs/bridge.md",
+        (
+            "waits up to 7 s until reliable subscriptions in ROS",
+            "transport/relay/src",
+            "SETTLE_TIME: Duration = Duration::from_secs(7);",
+        ),
+    ),
+    (
+        "docs/bridge.md",
+        (
+            "up to 3.5 s when the bridge itself ends",
+            "transport/relay/src",
+            "STOP_TIME: Duration = Duration::from_millis(3_500);",
+        ),
+    ),
+    (
+        "docs/bridge.md",
+        ("the bridge's queue from ROS has 1000,", "transport/relay/src", "MIN_DEPTH_IN: usize = 1000;"),
+    ),
+    (
+        "docs/bridge.md",
+        ("at least 100 for a publisher", "transport/relay/src", "RELAYED_DEPTH: usize = 100;"),
+    ),
+    ("docs/bridge.md", ("10 is assumed for each", "bridge-ros/src", "UNKNOWN_DEPTH: usize = 10;")),
+    (
+        "docs/bridge-services.md",
+        (
+            "several of more than 16 MiB together",
+            "transport/relay/src",
+            "MOST_WAITING_BYTES: usize = 16 << 20;",
+        ),
+    ),
     (
         "docs/bridge-services.md",
         (
