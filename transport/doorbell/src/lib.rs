@@ -10,8 +10,9 @@
 //! A subscription, a publisher, a timer and a guard condition each own a [`Slot`] of a [`Doorbell`]. The caller provides the
 //! memory of an arena as [`Region`]s, and determines how other processes find it.
 //!
-//! Ringing is wait-free: one atomic store, a fence and, if the sleeper sleeps, one futex wake. No wake-up is lost, even if a
-//! process is preempted or killed meanwhile: `hot.rs` has the protocol, `loom.rs` its model.
+//! Ringing is wait-free: one or two atomic operations set bits, a fence follows, and one futex wake if the sleeper sleeps and this process
+//! has not woken it from that sleep. No wake-up is lost, even if a process is preempted or killed meanwhile: `hot.rs` has the
+//! protocol, `loom.rs` its model.
 
 mod arena;
 mod hot;
