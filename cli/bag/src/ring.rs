@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The ring of bytes between the thread that takes messages and the thread that writes them. Its memory is allocated at the start.
 
+use rtrb::chunks::ReadChunk;
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::sync::atomic::{Ordering, fence};
 use taut_cli::verb::{Failure, Outcome};
@@ -21,6 +22,8 @@ pub struct Head {
 }
 
 pub const HEAD_BYTES: usize = 48;
+/// The most memory for the messages that a topic keeps for late joiners.
+pub const LATCHED_BYTES: usize = 64 << 20;
 
 impl Head {
     pub fn to_bytes(self) -> [u8; HEAD_BYTES] {
@@ -46,6 +49,60 @@ impl Head {
             publisher: Gid(bytes[32..].try_into().unwrap_or_default()),
         }
     }
+}
+
+/// The content of the ring, in two parts if it wraps around.
+#[derive(Clone, Copy)]
+pub struct Ring<'r>(&'r [u8], &'r [u8]);
+
+impl<'r> Ring<'r> {
+    pub fn of(chunk: &'r ReadChunk<'_, u8>) -> Self {
+        let (first, second) = chunk.as_slices();
+        Ring(first, second)
+    }
+
+    /// The message at this offset and its length, if it is complete.
+    pub fn message(self, at: usize) -> Option<(Head, usize)> {
+        let mut head = [0; HEAD_BYTES];
+        let there = self.0.len() + self.1.len();
+        if there < at + HEAD_BYTES {
+            return None;
+        }
+        self.copy(at, &mut head);
+        let head = Head::from_bytes(head);
+        let whole = HEAD_BYTES + head.cdr_bytes as usize;
+        (there >= at + whole).then_some((head, whole))
+    }
+
+    /// Fills `to` with the bytes at an offset, which the ring must hold.
+    pub fn copy(self, at: usize, to: &mut [u8]) {
+        let from = &self.0[at.min(self.0.len())..];
+        let (front, back) = to.split_at_mut(from.len().min(to.len()));
+        front.copy_from_slice(&from[..front.len()]);
+        let at = at.saturating_sub(self.0.len());
+        back.copy_from_slice(&self.1[at..at + back.len()]);
+    }
+
+    /// The bytes at an offset, which the ring must hold: in place, or in `scratch` if they wrap around.
+    pub fn bytes<'b>(self, at: usize, len: usize, scratch: &'b mut Vec<u8>) -> &'b [u8]
+    where
+        'r: 'b,
+    {
+        if let Some(bytes) = self.0.get(at..at + len) {
+            return bytes;
+        }
+        scratch.resize(len, 0);
+        self.copy(at, scratch);
+        scratch
+    }
+}
+
+/// The head of the oldest message, and the chunk to commit; `None` until the message is complete.
+pub fn oldest(consumer: &mut Consumer<u8>) -> Option<(Head, ReadChunk<'_, u8>)> {
+    let mut head = [0; HEAD_BYTES];
+    Ring::of(&consumer.read_chunk(HEAD_BYTES).ok()?).copy(0, &mut head);
+    let head = Head::from_bytes(head);
+    Some((head, consumer.read_chunk(HEAD_BYTES + head.cdr_bytes as usize).ok()?))
 }
 
 /// Whether the producer has ended. If so, everything that it wrote is visible to later reads.

@@ -2,7 +2,7 @@
 //! Reads the bag: checks its messages and puts them into the ring in order, as far ahead as there is room.
 
 use super::player::{BEGIN, Control, END};
-use crate::ring::{HEAD_BYTES, Head};
+use crate::ring::{HEAD_BYTES, Head, LATCHED_BYTES};
 use rtrb::Producer;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -16,8 +16,6 @@ use tautline_transport::Gid;
 
 /// Playing begins when this much of the bag's time has been read, or after reading for this long.
 const ENOUGH: Duration = Duration::from_secs(2);
-/// The most memory for the messages that a topic keeps for late joiners.
-pub const LATCHED_BYTES: usize = 64 << 20;
 /// The interval at which the feeder checks for room in the ring.
 const PERIOD: Duration = Duration::from_millis(1);
 

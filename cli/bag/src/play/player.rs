@@ -6,9 +6,8 @@
 //! pieces of 16 KiB, while no other message is due. The thread allocates only for a message that is longer than its publisher was made
 //! for. It checks for pauses, leaps and the end at least every 20 ms.
 
-use crate::ring::{HEAD_BYTES, Head};
+use crate::ring::{HEAD_BYTES, Head, Ring};
 use rtrb::Consumer;
-use rtrb::chunks::ReadChunk;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use taut_cli::times::Times;
@@ -211,39 +210,6 @@ fn publish(
     played.published[head.topic as usize] += 1;
     control.position_ns.store(head.log_ns, Ordering::Relaxed);
     control.published.fetch_add(1, Ordering::Relaxed);
-}
-
-/// The content of the ring, in two parts if it wraps around.
-#[derive(Clone, Copy)]
-struct Ring<'r>(&'r [u8], &'r [u8]);
-
-impl<'r> Ring<'r> {
-    fn of(chunk: &'r ReadChunk<'_, u8>) -> Self {
-        let (first, second) = chunk.as_slices();
-        Ring(first, second)
-    }
-
-    /// The message at this offset and its length, if it is complete.
-    fn message(self, at: usize) -> Option<(Head, usize)> {
-        let mut head = [0; HEAD_BYTES];
-        let there = self.0.len() + self.1.len();
-        if there < at + HEAD_BYTES {
-            return None;
-        }
-        self.copy(at, &mut head);
-        let head = Head::from_bytes(head);
-        let whole = HEAD_BYTES + head.cdr_bytes as usize;
-        (there >= at + whole).then_some((head, whole))
-    }
-
-    /// Fills `to` with the bytes at an offset, which the ring must hold.
-    fn copy(self, at: usize, to: &mut [u8]) {
-        let from = &self.0[at.min(self.0.len())..];
-        let (front, back) = to.split_at_mut(from.len().min(to.len()));
-        front.copy_from_slice(&from[..front.len()]);
-        let at = at.saturating_sub(self.0.len());
-        back.copy_from_slice(&self.1[at..at + back.len()]);
-    }
 }
 
 /// Copies long messages ahead of their time, while no other message is due: copying a camera's image takes a millisecond.

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reports at the end what was played, what was not, and how late.
 
-use super::feeder::{Fed, LATCHED_BYTES};
+use super::feeder::Fed;
 use super::player::Played;
 use super::{PlayArgs, Role};
 use crate::record::failed;
+use crate::ring::LATCHED_BYTES;
 use serde_json::json;
 use std::io::{self, Write};
 use std::time::Duration;

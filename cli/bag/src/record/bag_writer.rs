@@ -3,7 +3,7 @@
 
 use super::channels::Channels;
 use super::observers::Announced;
-use crate::ring::{HEAD_BYTES, Head};
+use crate::ring::{HEAD_BYTES, Ring, oldest};
 use rtrb::Consumer;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 use taut_cli::verb::Outcome;
-use tautline_bag::{BagError, Finished, Stamp, TopicId, Writer};
+use tautline_bag::{BagError, Finished, TopicId, Writer};
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{Policy, ThreadBuilder};
 
@@ -112,50 +112,20 @@ impl Work {
         Written { finished, failed, messages, stall }
     }
 
-    /// Decides by the age of the message that is written whether the disk keeps up: a kill loses everything newer.
-    fn update_behind(&self, log_ns: u64) {
-        let now_ns = monotonic_ns().cast_signed().saturating_add(self.offset_ns);
-        let age_ns = now_ns.saturating_sub_unsigned(log_ns);
-        if age_ns > BEHIND_NS {
-            self.writer.set_behind(true);
-        } else if age_ns < ABREAST_NS {
-            self.writer.set_behind(false);
-        }
-    }
-
     /// Writes the next message. Returns `false` if there is none.
     fn write_next(&mut self) -> Result<bool, BagError> {
-        let mut head = [0; HEAD_BYTES];
-        let Ok(chunk) = self.consumer.read_chunk(HEAD_BYTES) else { return Ok(false) };
-        let (first, second) = chunk.as_slices();
-        head[..first.len()].copy_from_slice(first);
-        head[first.len()..].copy_from_slice(second);
-        let head = Head::from_bytes(head);
-        self.update_behind(head.log_ns);
-        let whole = HEAD_BYTES + head.cdr_bytes as usize;
-        // The reader has not completed the message.
-        let Ok(chunk) = self.consumer.read_chunk(whole) else { return Ok(false) };
-        let Some(channel) = self.channels.of(&head) else { return Ok(false) };
-        self.channels.write(&mut self.writer, &mut self.ids)?;
-        let (topic, events) = (self.ids[channel], self.channels.events(&head));
-        let (first, second) = chunk.as_slices();
-        let cdr = if second.is_empty() {
-            &first[HEAD_BYTES..]
-        } else {
-            self.scratch.clear();
-            self.scratch.extend_from_slice(first);
-            self.scratch.extend_from_slice(second);
-            &self.scratch[HEAD_BYTES..]
-        };
-        let stamp =
-            Stamp { sequence: head.sequence as u32, log_ns: head.log_ns, publish_ns: head.publish_ns };
-        let is_written = match events.map(|events| events.written(cdr)) {
-            None => self.writer.write(topic, stamp, cdr).map(|()| true),
-            Some(Ok(event)) => self.writer.write(topic, stamp, &event).map(|()| true),
-            // The bytes are not a request of the service. The end of the recording reports the number of missing messages.
-            Some(Err(_)) => Ok(false),
-        };
-        self.messages += u64::from(is_written?);
+        let Some((head, chunk)) = oldest(&mut self.consumer) else { return Ok(false) };
+        // A kill loses everything newer than the message that is written.
+        let now_ns = monotonic_ns().cast_signed().saturating_add(self.offset_ns);
+        let age_ns = now_ns.saturating_sub_unsigned(head.log_ns);
+        if !(ABREAST_NS..=BEHIND_NS).contains(&age_ns) {
+            self.writer.set_behind(age_ns > BEHIND_NS);
+        }
+        let cdr = Ring::of(&chunk).bytes(HEAD_BYTES, head.cdr_bytes as usize, &mut self.scratch);
+        let written = self.channels.write_message(&mut self.writer, &mut self.ids, &head, cdr)?;
+        let Some(is_written) = written else { return Ok(false) };
+        // The end of the recording reports the number of missing messages.
+        self.messages += u64::from(is_written);
         chunk.commit_all();
         Ok(true)
     }

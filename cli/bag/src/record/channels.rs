@@ -8,7 +8,7 @@ use crate::ring::Head;
 use std::collections::HashMap;
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
-use tautline_bag::{BagError, PUBLISHER, Topic, TopicId, Writer};
+use tautline_bag::{BagError, PUBLISHER, Stamp, Topic, TopicId, Writer};
 use tautline_transport::{Durability, Gid, Qos};
 
 /// How long an announcement is waited for. A publisher that ends before the next refresh of the graph is never announced.
@@ -62,9 +62,25 @@ impl Channels {
         Ok(())
     }
 
-    /// How the messages of an observer become events of a service.
-    pub fn events(&self, head: &Head) -> Option<&Events> {
-        self.observers.get(head.topic as usize)?.events.as_ref()
+    /// Writes a message, and before it the channels that the bag does not have yet. `Some(false)` if its bytes are not a request of the
+    /// service; `None` if the recorder ended before it announced the channel.
+    pub fn write_message(
+        &mut self,
+        writer: &mut Writer,
+        ids: &mut Vec<TopicId>,
+        head: &Head,
+        cdr: &[u8],
+    ) -> Result<Option<bool>, BagError> {
+        let Some(channel) = self.of(head) else { return Ok(None) };
+        self.write(writer, ids)?;
+        let Head { log_ns, publish_ns, .. } = *head;
+        let stamp = Stamp { sequence: head.sequence as u32, log_ns, publish_ns };
+        match self.observers[head.topic as usize].events.as_ref().map(|events| events.written(cdr)) {
+            None => writer.write(ids[channel], stamp, cdr)?,
+            Some(Ok(event)) => writer.write(ids[channel], stamp, &event)?,
+            Some(Err(_)) => return Ok(Some(false)),
+        }
+        Ok(Some(true))
     }
 
     /// Adds what was announced since the last call.

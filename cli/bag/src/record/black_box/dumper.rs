@@ -8,7 +8,7 @@ use super::alarms::{Alarm, Kind};
 use super::tracing::Tracing;
 use crate::record::channels::Channels;
 use crate::record::observers::Announced;
-use crate::ring::{HEAD_BYTES, Head};
+use crate::ring::{HEAD_BYTES, Head, LATCHED_BYTES, Ring, oldest};
 use rtrb::Consumer;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, VecDeque};
@@ -18,7 +18,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
 use taut_cli::verb::Outcome;
-use tautline_bag::{BagError, Options, Stamp, TopicId, Writer};
+use tautline_bag::{BagError, Options, TopicId, Writer};
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{Policy, ThreadBuilder};
 
@@ -26,8 +26,6 @@ use tautline_rt::{Policy, ThreadBuilder};
 const PERIOD: Duration = Duration::from_millis(2);
 /// One part in this number of the ring stays free for new messages.
 const FREE_PART: usize = 8;
-/// The most memory for the messages that a topic keeps for late joiners.
-pub const LATCHED_BYTES: usize = 64 << 20;
 
 /// What the black box keeps, and where it is written.
 pub struct Plan {
@@ -236,32 +234,23 @@ impl Work {
                 let kept_ns = self.plan.span_ns - (head.log_ns - oldest_ns).min(self.plan.span_ns);
                 self.done.shortest_ns = Some(self.done.shortest_ns.map_or(kept_ns, |ns| ns.min(kept_ns)));
             }
-            self.take(head);
+            self.take();
             self.latch(head);
         }
     }
 
     /// The head of the oldest message, if the message is complete and its topic is known.
     fn head(&mut self) -> Option<Head> {
-        let chunk = self.consumer.read_chunk(HEAD_BYTES).ok()?;
-        let (mut bytes, (first, second)) = ([0; HEAD_BYTES], chunk.as_slices());
-        bytes[..first.len()].copy_from_slice(first);
-        bytes[first.len()..].copy_from_slice(second);
-        let head = Head::from_bytes(bytes);
-        // The reader has not completed the message.
-        self.consumer.read_chunk(HEAD_BYTES + head.cdr_bytes as usize).ok()?;
+        let (head, _) = oldest(&mut self.consumer)?;
         self.channels.of(&head)?;
         Some(head)
     }
 
     /// Takes the message of [`head`](Self::head) out of the ring, into `scratch`, as it is in a bag.
-    fn take(&mut self, head: Head) {
-        let Ok(chunk) = self.consumer.read_chunk(HEAD_BYTES + head.cdr_bytes as usize) else { return };
-        let (first, second) = chunk.as_slices();
-        self.scratch.clear();
-        self.scratch.extend_from_slice(first);
-        self.scratch.extend_from_slice(second);
-        self.scratch.drain(..HEAD_BYTES);
+    fn take(&mut self) {
+        let Some((head, chunk)) = oldest(&mut self.consumer) else { return };
+        self.scratch.resize(head.cdr_bytes as usize, 0);
+        Ring::of(&chunk).copy(HEAD_BYTES, &mut self.scratch);
         chunk.commit_all();
     }
 
@@ -345,7 +334,7 @@ impl Work {
                 self.write_latched(writer, ids, head.log_ns, messages)?;
             }
             *span = Some((span.map_or(head.log_ns, |(first, _)| first), head.log_ns));
-            self.take(head);
+            self.take();
             *messages += u64::from(self.write(writer, ids, head)?);
             self.latch(head);
         }
@@ -374,19 +363,9 @@ impl Work {
 
     /// Writes the message in `scratch`. `false` if it is not a request of its service.
     fn write(&mut self, writer: &mut Writer, ids: &mut Vec<TopicId>, head: Head) -> Result<bool, BagError> {
-        let Some(channel) = self.channels.of(&head) else { return Ok(false) };
-        self.channels.write(writer, ids)?;
-        let id = ids[channel];
-        let stamp =
-            Stamp { sequence: head.sequence as u32, log_ns: head.log_ns, publish_ns: head.publish_ns };
-        match self.channels.events(&head).map(|events| events.written(&self.scratch)) {
-            None => writer.write(id, stamp, &self.scratch).map(|()| true),
-            Some(Ok(event)) => writer.write(id, stamp, &event).map(|()| true),
-            Some(Err(_)) => {
-                self.done.unusable += 1;
-                Ok(false)
-            }
-        }
+        let written = self.channels.write_message(writer, ids, &head, &self.scratch)?;
+        self.done.unusable += u64::from(written == Some(false));
+        Ok(written == Some(true))
     }
 }
 

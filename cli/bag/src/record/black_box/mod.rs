@@ -13,7 +13,7 @@ pub use dumper::{Dump, Dumped, Dumper, Plan};
 pub use tracing::Tracing;
 
 use super::{RecordArgs, Statement, failed, say};
-use dumper::LATCHED_BYTES;
+use crate::ring::LATCHED_BYTES;
 use serde_json::json;
 use std::io::Write;
 use std::path::Path;
