@@ -77,6 +77,7 @@ pub struct Clock {
     pub period_ns: u64,
 }
 
+#[derive(Default)]
 pub struct Played {
     /// The number of published messages of each topic.
     pub published: Vec<u64>,
@@ -108,18 +109,8 @@ impl Player {
         control: Arc<Control>,
     ) -> Self {
         let published = vec![0; publishers.len()];
-        let (late, timer) = (Times::default(), Times::default());
-        let played = Played { published, late, timer, starved: 0, refused: 0, refusal: None };
-        let pacing = Pacing {
-            origin: (0, 0),
-            rate,
-            generation: 0,
-            began_ns: 0,
-            woke_ns: 0,
-            paused_at: None,
-            clock,
-            clock_due_ns: 0,
-        };
+        let played = Played { published, ..Played::default() };
+        let pacing = Pacing { rate, clock, ..Pacing::default() };
         Player { consumer, publishers, pacing, played, control }
     }
 
@@ -285,6 +276,7 @@ impl Played {
 }
 
 /// Computes when messages and `/clock` are due.
+#[derive(Default)]
 struct Pacing {
     /// A time of reception, and the time on `CLOCK_MONOTONIC` at which it is played.
     origin: (u64, u64),

@@ -33,6 +33,7 @@ pub struct Channel {
 }
 
 /// What is known of an observer.
+#[derive(Default)]
 struct Observed {
     topic: Topic,
     events: Option<Events>,
@@ -122,29 +123,17 @@ impl Channels {
         match announced {
             Announced::Topic(topic) => {
                 let publishers = Some(HashMap::new());
-                self.observers.push(Observed {
-                    topic,
-                    events: None,
-                    shared: None,
-                    unannounced: None,
-                    publishers,
-                });
+                self.observers.push(Observed { topic, publishers, ..Observed::default() });
             }
             Announced::Requests(topic, events) => {
-                let (events, shared, publishers) = (Some(events), Some(self.list.len()), None);
+                let (events, shared) = (Some(events), Some(self.list.len()));
                 self.list.push(Channel { topic: topic.clone(), kept: 0 });
-                self.observers.push(Observed { topic, events, shared, unannounced: None, publishers });
+                self.observers.push(Observed { topic, events, shared, ..Observed::default() });
             }
             Announced::Responses(requests) => {
                 let Observed { topic, shared, .. } = &self.observers[requests];
                 let (topic, shared) = (topic.clone(), *shared);
-                self.observers.push(Observed {
-                    topic,
-                    events: None,
-                    shared,
-                    unannounced: None,
-                    publishers: None,
-                });
+                self.observers.push(Observed { topic, shared, ..Observed::default() });
             }
             Announced::Publisher { number, gid, qos } => self.publisher(number, gid, &qos),
         }

@@ -74,7 +74,7 @@ pub struct Alarms {
 }
 
 /// The messages of a topic so far.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 struct Heard {
     messages: u64,
     last_ns: u64,
@@ -144,19 +144,12 @@ impl Alarms {
             self.missed(&mut found);
         }
         let has_publisher = |topic: &str| {
-            let of_topic = |end: &&Arc<tautline_transport::TopicEndpoint>| {
-                end.kind == EndpointKind::Publisher && end.topic == topic
-            };
-            graph.endpoints.iter().any(|end| of_topic(&end))
+            graph.endpoints.iter().any(|end| end.kind == EndpointKind::Publisher && end.topic == topic)
         };
         for (number, topic, messages) in observers.heard() {
             let least_ns = self.silent.get(topic).copied();
-            let heard = self.heard.entry(number).or_insert(Heard {
-                messages,
-                last_ns: now_ns,
-                longest_ns: 0,
-                is_silent: false,
-            });
+            let new = Heard { messages, last_ns: now_ns, ..Heard::default() };
+            let heard = self.heard.entry(number).or_insert(new);
             if heard.falls_silent(messages, least_ns, now_ns) && has_publisher(topic) {
                 let seconds = (now_ns - heard.last_ns) as f64 / 1e9;
                 found.push((
@@ -263,7 +256,7 @@ mod tests {
 
     #[test]
     fn a_topic_is_silent_after_ten_times_its_longest_pause() {
-        let mut heard = Heard { messages: 0, last_ns: 0, longest_ns: 0, is_silent: false };
+        let mut heard = Heard::default();
         const MS: u64 = 1_000_000;
         // A topic that never had a message is not silent.
         assert!(!heard.falls_silent(0, Some(MS), 1000 * MS));

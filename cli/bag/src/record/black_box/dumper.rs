@@ -45,6 +45,7 @@ pub struct Dumper {
 }
 
 /// The result of a black box.
+#[derive(Default)]
 pub struct Dumped {
     pub dumps: Vec<Dump>,
     /// Bags that were removed for newer ones.
@@ -166,24 +167,9 @@ impl Work {
         announced: Receiver<Announced>,
         tracing: Option<Tracing>,
     ) -> Self {
-        let unlatched = BTreeMap::new();
-        Work {
-            plan,
-            consumer,
-            channels: Channels::new(announced),
-            latched: Vec::new(),
-            tracing,
-            number: 0,
-            scratch: Vec::new(),
-            done: Dumped {
-                dumps: Vec::new(),
-                removed: 0,
-                unusable: 0,
-                unlatched,
-                shortest_ns: None,
-                failed: None,
-            },
-        }
+        let channels = Channels::new(announced);
+        let (latched, scratch, done) = (Vec::new(), Vec::new(), Dumped::default());
+        Work { plan, consumer, channels, latched, tracing, number: 0, scratch, done }
     }
 
     fn run(mut self, alarms: &Receiver<Alarm>, is_over: &AtomicBool) -> Dumped {
