@@ -4,6 +4,7 @@
 use super::player::{BEGIN, Control, END};
 use crate::ring::{HEAD_BYTES, Head, LATCHED_BYTES};
 use rtrb::Producer;
+use std::borrow::Cow;
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -48,8 +49,9 @@ pub struct Feeder {
     pub given: u64,
     /// The messages that publishers had kept at this time. They are read from the bag once.
     pub latched: Option<(u64, Vec<(usize, OwnedMessage)>)>,
-    /// The number of messages that publishers had kept, and for which there was no memory.
-    pub unkept: u64,
+    /// The number of leaps before the place that is read.
+    pub generation: u64,
+    pub fed: Fed,
     /// When filling the ring began, and the time of reception of its first message.
     pub filling: Option<(Instant, u64)>,
     /// The bag's seconds that are played in one second.
@@ -57,6 +59,7 @@ pub struct Feeder {
 }
 
 /// The result of feeding.
+#[derive(Default)]
 pub struct Fed {
     /// For each part: the number of messages that are not of its type or too long, and the reason for the first one.
     pub unplayable: Vec<(u64, Option<String>)>,
@@ -110,24 +113,24 @@ enum Halt {
 
 impl Feeder {
     pub fn run(mut self) -> Fed {
-        let mut unplayable = vec![(0, None); self.parts.len()];
-        let (mut from_ns, mut passes, mut untold) = (self.from_ns, 0, 0);
-        let failed = loop {
-            let generation = self.control.generation.load(Ordering::Acquire);
-            if generation > 0 {
+        self.fed.unplayable = vec![(0, None); self.parts.len()];
+        let (mut from_ns, mut passes) = (self.from_ns, 0);
+        self.fed.failed = loop {
+            self.generation = self.control.generation.load(Ordering::Acquire);
+            if self.generation > 0 {
                 // The passes that were read ahead are read again.
                 passes = self.control.pass.load(Ordering::Acquire);
                 from_ns = self.control.seek_ns.load(Ordering::Relaxed);
             }
             let halt = loop {
-                let given = match self.pass((from_ns, passes), generation, &mut unplayable, &mut untold) {
+                let given = match self.pass(from_ns, passes) {
                     Ok(given) => given,
                     Err(halt) => break halt,
                 };
                 let is_whole = from_ns == self.from_ns;
                 (from_ns, passes) = (self.from_ns, passes + 1);
                 if given == 0 && is_whole || self.times.is_some_and(|times| passes >= times) {
-                    break self.rest(generation);
+                    break self.rest();
                 }
             };
             match halt {
@@ -138,19 +141,14 @@ impl Feeder {
         };
         self.control.is_filled.store(true, Ordering::Release);
         let first = self.bag.damage().next();
-        let damage = first
+        self.fed.damage = first
             .map(|(path, damage)| format!("{}: at byte {}: {}", path.display(), damage.offset, damage.what));
-        Fed { unplayable, untold, unkept: self.unkept, failed, damaged: self.bag.damages(), damage }
+        self.fed.damaged = self.bag.damages();
+        self.fed
     }
 
     /// Feeds the bag once, from a time of reception on, and returns the number of messages.
-    fn pass(
-        &mut self,
-        (from_ns, pass): (u64, u64),
-        generation: u64,
-        unplayable: &mut [(u64, Option<String>)],
-        untold: &mut u64,
-    ) -> Result<u64, Halt> {
+    fn pass(&mut self, from_ns: u64, pass: u64) -> Result<u64, Halt> {
         let given = self.given;
         let keeps = self.parts.iter().any(|part| part.kept > 0);
         let is_known = self.latched.as_ref().is_some_and(|(of_ns, _)| *of_ns == from_ns);
@@ -159,9 +157,9 @@ impl Feeder {
         let mut kept = vec![Latched::default(); self.parts.len()];
         let mut has_begun = false;
         while let Some(message) = self.bag.next_message().map_err(Halt::Failed)? {
-            self.check_halt(generation)?;
+            self.check_halt()?;
             let Some(part) = self.numbers.get(message.topic) else {
-                *untold += 1;
+                self.fed.untold += 1;
                 continue;
             };
             let Some(part) = *part else { continue };
@@ -172,33 +170,27 @@ impl Feeder {
                 continue;
             }
             if !std::mem::replace(&mut has_begun, true) {
-                self.begin(&mut kept, (from_ns, pass), generation, unplayable)?;
+                self.begin(&mut kept, from_ns, pass)?;
             }
             if message.stamp.log_ns > self.to_ns {
                 break;
             }
-            self.feed(part, &message, message.stamp.log_ns, generation, unplayable)?;
+            self.feed(part, &message, message.stamp.log_ns)?;
         }
         if !has_begun {
-            self.begin(&mut kept, (from_ns, pass), generation, unplayable)?;
+            self.begin(&mut kept, from_ns, pass)?;
         }
         Ok(self.given - given)
     }
 
     /// Starts the time of a pass when its first message has been read, and feeds the messages that publishers had kept then, in the
     /// order of their reception.
-    fn begin(
-        &mut self,
-        kept: &mut [Latched],
-        (from_ns, pass): (u64, u64),
-        generation: u64,
-        unplayable: &mut [(u64, Option<String>)],
-    ) -> Result<(), Halt> {
+    fn begin(&mut self, kept: &mut [Latched], from_ns: u64, pass: u64) -> Result<(), Halt> {
         let latched = match self.latched.take() {
             Some((of_ns, latched)) if of_ns == from_ns => latched,
             _ => {
                 let missing = kept.iter().zip(&self.parts).map(|(kept, part)| kept.missing(part.kept));
-                self.unkept += missing.sum::<u64>();
+                self.fed.unkept += missing.sum::<u64>();
                 let of_part = |(part, kept): (usize, &mut Latched)| {
                     kept.messages.drain(..).map(|message| (part, message)).collect::<Vec<_>>()
                 };
@@ -207,37 +199,28 @@ impl Feeder {
                 all
             }
         };
-        let begin = mark(BEGIN, from_ns.max(self.start_ns), generation);
-        self.put(Head { publish_ns: pass, ..begin }, &[], generation)?;
-        let mut give = |(part, message): &(usize, OwnedMessage)| {
-            self.feed(*part, message, from_ns, generation, unplayable)
-        };
-        latched.iter().try_for_each(&mut give)?;
+        let begin = mark(BEGIN, from_ns.max(self.start_ns), self.generation);
+        self.put(Head { publish_ns: pass, ..begin }, &[])?;
+        latched.iter().try_for_each(|(part, message)| self.feed(*part, message, from_ns))?;
         self.latched = Some((from_ns, latched));
         Ok(())
     }
 
-    fn feed(
-        &mut self,
-        part: usize,
-        message: &OwnedMessage,
-        log_ns: u64,
-        generation: u64,
-        unplayable: &mut [(u64, Option<String>)],
-    ) -> Result<(), Halt> {
+    fn feed(&mut self, part: usize, message: &OwnedMessage, log_ns: u64) -> Result<(), Halt> {
         let most = self.producer.buffer().capacity() - HEAD_BYTES;
-        let body = match body(self.parts[part].schema.as_ref(), &message.cdr) {
-            Ok(Body::Part(len)) => &message.cdr[4..4 + len],
-            Ok(Body::Anew(ref body)) => &body.clone(),
+        let body = body(self.parts[part].schema.as_ref(), &message.cdr).and_then(|body| match body.len() {
+            len if len > most => Err(format!("a message of {len} bytes is longer than --budget")),
+            _ => Ok(body),
+        });
+        let body = match body {
+            Ok(body) => body,
             Err(why) => {
-                note(&mut unplayable[part], why);
+                let (count, first) = &mut self.fed.unplayable[part];
+                *count += 1;
+                first.get_or_insert(why);
                 return Ok(());
             }
         };
-        if body.len() > most {
-            note(&mut unplayable[part], format!("a message of {} bytes is longer than --budget", body.len()));
-            return Ok(());
-        }
         self.parts[part].largest.fetch_max(body.len(), Ordering::Relaxed);
         let head = Head {
             topic: part as u32,
@@ -253,14 +236,14 @@ impl Feeder {
         if since.elapsed() > ENOUGH || ahead_ns > ENOUGH.as_nanos() as f64 {
             self.control.is_filled.store(true, Ordering::Release);
         }
-        self.put(head, body, generation)
+        self.put(head, &body)
     }
 
     /// Puts a message into the ring as soon as there is room.
-    fn put(&mut self, head: Head, body: &[u8], generation: u64) -> Result<(), Halt> {
+    fn put(&mut self, head: Head, body: &[u8]) -> Result<(), Halt> {
         while self.producer.slots() < HEAD_BYTES + body.len() {
             self.control.is_filled.store(true, Ordering::Release);
-            self.check_halt(generation)?;
+            self.check_halt()?;
             std::thread::sleep(PERIOD);
         }
         let parts: [&[u8]; 2] = [&head.to_bytes(), body];
@@ -269,25 +252,25 @@ impl Feeder {
     }
 
     /// Returns the reason if feeding must not continue at this place.
-    fn check_halt(&self, generation: u64) -> Result<(), Halt> {
+    fn check_halt(&self) -> Result<(), Halt> {
         if self.control.is_stopped()
             || self.control.is_over.load(Ordering::Acquire)
             || self.producer.is_abandoned()
         {
             return Err(Halt::Over);
         }
-        let is_here = self.control.generation.load(Ordering::Acquire) == generation;
+        let is_here = self.control.generation.load(Ordering::Acquire) == self.generation;
         if is_here { Ok(()) } else { Err(Halt::Leap) }
     }
 
     /// Marks the end, and waits until the player has ended or continues at another place.
-    fn rest(&mut self, generation: u64) -> Halt {
-        if let Err(halt) = self.put(mark(END, 0, generation), &[], generation) {
+    fn rest(&mut self) -> Halt {
+        if let Err(halt) = self.put(mark(END, 0, self.generation), &[]) {
             return halt;
         }
         self.control.is_filled.store(true, Ordering::Release);
         loop {
-            match self.check_halt(generation) {
+            match self.check_halt() {
                 Ok(()) => std::thread::sleep(PERIOD),
                 Err(halt) => return halt,
             }
@@ -299,21 +282,8 @@ fn mark(topic: u32, log_ns: u64, generation: u64) -> Head {
     Head { topic, cdr_bytes: 0, sequence: generation, log_ns, publish_ns: 0, publisher: Gid::default() }
 }
 
-fn note((count, first): &mut (u64, Option<String>), why: String) {
-    *count += 1;
-    first.get_or_insert(why);
-}
-
-/// The body that is published for a message.
-enum Body {
-    /// This number of bytes after the encapsulation header, without padding at the end.
-    Part(usize),
-    /// The message, converted to little-endian bytes.
-    Anew(Vec<u8>),
-}
-
-/// The body to publish, or why the bytes are not a message of the type.
-fn body(schema: Option<&Arc<Schema>>, cdr: &[u8]) -> Result<Body, String> {
+/// The body to publish, little-endian and without padding at the end, or why the bytes are not a message of the type.
+fn body<'m>(schema: Option<&Arc<Schema>>, cdr: &'m [u8]) -> Result<Cow<'m, [u8]>, String> {
     if is_compressed(cdr) {
         return Err(
             "it is compressed by itself; what `taut bag convert` makes of the bag can be played".to_owned()
@@ -321,16 +291,16 @@ fn body(schema: Option<&Arc<Schema>>, cdr: &[u8]) -> Result<Body, String> {
     }
     let (endian, body) = split_header(cdr).map_err(|fault| fault.to_string())?;
     match (schema, endian) {
-        (None, Endian::Little) => Ok(Body::Part(body.len())),
+        (None, Endian::Little) => Ok(body.into()),
         (None, Endian::Big) => Err("it is big-endian, and its definition is not known".to_owned()),
         (Some(schema), Endian::Little) => {
             let trailing = DynamicMessage::validate(schema, body, tautline_schema::Endian::Little)
                 .map_err(|error| error.to_string())?;
-            Ok(Body::Part(body.len().saturating_sub(trailing)))
+            Ok(body[..body.len().saturating_sub(trailing)].into())
         }
         (Some(schema), Endian::Big) => {
             let message = DynamicMessage::from_cdr(schema, cdr).map_err(|error| error.to_string())?;
-            Ok(Body::Anew(message.to_body()))
+            Ok(message.to_body().into())
         }
     }
 }

@@ -13,7 +13,7 @@ use crate::definitions;
 use crate::offered_qos;
 use crate::record::{failed, say, size};
 use clap::Args;
-use feeder::{Feeder, Part};
+use feeder::{Fed, Feeder, Part};
 use player::{Clock, Control, Player};
 use regex::Regex;
 use stand_in::StandIn;
@@ -203,7 +203,8 @@ pub fn run(args: &PlayArgs) -> Outcome {
         times: args.again.map_or(Some(1), |times| times.map(NonZeroU64::get)),
         given: 0,
         latched: None,
-        unkept: 0,
+        generation: 0,
+        fed: Fed::default(),
         filling: None,
         rate: args.rate,
     };
