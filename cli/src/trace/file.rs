@@ -36,34 +36,18 @@ impl<W: Write> Writer<W> {
     }
 
     pub fn record(&mut self, record: &Record<'_>) -> io::Result<()> {
-        let entry = match *record {
-            Record::Process { process, pid, name } => Entry::Process { process, pid, name: name.to_owned() },
-            Record::Object { process, object } => Entry::Object {
-                process,
-                id: object.id.0,
-                kind: object.kind.name().to_owned(),
-                parent: object.parent.0,
-                detail: object.detail,
-                gid: object.gid,
-                created_ns: object.created_ns,
-                name: object.name.clone(),
-            },
-            Record::Thread { process, tid, name } => Entry::Thread { process, tid, name: name.to_owned() },
-            Record::Lost { process, tid, events } => Entry::Lost { process, tid, events },
-            Record::Unrecorded { process, events } => Entry::Unrecorded { process, events },
-            Record::Undescribed { process, objects } => Entry::Undescribed { process, objects },
-            Record::Ended { process } => Entry::Ended { process },
-            Record::Events { process, tid, events } => {
-                let mut content = Vec::with_capacity(8 + EVENT_BYTES * events.len());
-                content.extend(process.to_le_bytes());
-                content.extend(tid.to_le_bytes());
-                content.extend(events.iter().flat_map(|event| event.words()).flat_map(u64::to_le_bytes));
-                return self.block(EVENTS, &content);
-            }
-            // The record is of a later version.
-            _ => return Ok(()),
-        };
-        self.entry(&entry)
+        match *record {
+            Record::Events { process, tid, events } => self.events(process, tid, events),
+            _ => Entry::of(record).map_or(Ok(()), |entry| self.entry(&entry)),
+        }
+    }
+
+    pub fn events(&mut self, process: u32, tid: u32, events: &[Event]) -> io::Result<()> {
+        let mut content = Vec::with_capacity(8 + EVENT_BYTES * events.len());
+        content.extend(process.to_le_bytes());
+        content.extend(tid.to_le_bytes());
+        content.extend(events.iter().flat_map(|event| event.words()).flat_map(u64::to_le_bytes));
+        self.block(EVENTS, &content)
     }
 
     fn block(&mut self, kind: u32, content: &[u8]) -> io::Result<()> {

@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
-use tautline_trace::{Description, Event, ObjectId};
+use tautline_trace::{Description, Event, ObjectId, Record};
 
 /// All that was recorded, its events in order of time.
 #[derive(Debug, Default)]
@@ -70,6 +70,31 @@ pub enum Entry {
     Finished {
         monotonic_ns: u64,
     },
+}
+
+impl Entry {
+    /// The entry of a record; `None` for events, and for a record of a later version.
+    pub fn of(record: &Record<'_>) -> Option<Self> {
+        Some(match *record {
+            Record::Process { process, pid, name } => Entry::Process { process, pid, name: name.to_owned() },
+            Record::Object { process, object } => Entry::Object {
+                process,
+                id: object.id.0,
+                kind: object.kind.name().to_owned(),
+                parent: object.parent.0,
+                detail: object.detail,
+                gid: object.gid,
+                created_ns: object.created_ns,
+                name: object.name.clone(),
+            },
+            Record::Thread { process, tid, name } => Entry::Thread { process, tid, name: name.to_owned() },
+            Record::Lost { process, tid, events } => Entry::Lost { process, tid, events },
+            Record::Unrecorded { process, events } => Entry::Unrecorded { process, events },
+            Record::Undescribed { process, objects } => Entry::Undescribed { process, objects },
+            Record::Ended { process } => Entry::Ended { process },
+            _ => return None,
+        })
+    }
 }
 
 #[derive(Debug, Default)]

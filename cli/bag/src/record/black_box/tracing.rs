@@ -12,7 +12,7 @@ use taut_cli::trace::record::session;
 use taut_cli::trace::recording::Entry;
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{Policy, ThreadBuilder};
-use tautline_trace::{Description, Event, Record, Recorder};
+use tautline_trace::{Event, Record, Recorder};
 
 /// The interval at which events are fetched, as in `taut trace record`.
 const PERIOD: Duration = Duration::from_millis(10);
@@ -33,33 +33,11 @@ struct Batch {
     events: Vec<Event>,
 }
 
-/// A description that events refer to. It is kept as long as events may refer to it.
-enum Known {
-    Process { process: u32, pid: u32, name: String },
-    Object { process: u32, object: Description },
-    Thread { process: u32, tid: u32, name: String },
-}
-
-impl Known {
-    fn process(&self) -> u32 {
-        let (Known::Process { process, .. } | Known::Object { process, .. } | Known::Thread { process, .. }) =
-            self;
-        *process
-    }
-
-    fn record(&self) -> Record<'_> {
-        match self {
-            Known::Process { process, pid, name } => Record::Process { process: *process, pid: *pid, name },
-            Known::Object { process, object } => Record::Object { process: *process, object },
-            Known::Thread { process, tid, name } => Record::Thread { process: *process, tid: *tid, name },
-        }
-    }
-}
-
 struct Kept {
     domain: u32,
     span_ns: u64,
-    known: Vec<Known>,
+    /// The process and the description of what events may refer to.
+    known: Vec<(u32, Entry)>,
     batches: VecDeque<Batch>,
     events: usize,
     /// Processes that have ended, and have events here.
@@ -103,14 +81,10 @@ impl Tracing {
 impl Kept {
     fn note(&mut self, record: &Record<'_>) {
         match *record {
-            Record::Process { process, pid, name } => {
-                self.known.push(Known::Process { process, pid, name: name.to_owned() });
-            }
-            Record::Object { process, object } => {
-                self.known.push(Known::Object { process, object: object.clone() });
-            }
-            Record::Thread { process, tid, name } => {
-                self.known.push(Known::Thread { process, tid, name: name.to_owned() });
+            Record::Process { process, .. }
+            | Record::Object { process, .. }
+            | Record::Thread { process, .. } => {
+                self.known.extend(Entry::of(record).map(|entry| (process, entry)));
             }
             Record::Events { process, tid, events } => {
                 self.events += events.len();
@@ -131,7 +105,7 @@ impl Kept {
         self.ended.retain(|process| {
             let has_events = batches.iter().any(|batch| batch.process == *process);
             if !has_events {
-                known.retain(|known| known.process() != *process);
+                known.retain(|(of, _)| of != process);
             }
             has_events
         });
@@ -140,9 +114,9 @@ impl Kept {
     fn write(&self, path: &Path) -> io::Result<u64> {
         let mut writer = Writer::new(BufWriter::new(File::create(path)?))?;
         writer.entry(&session(self.domain))?;
-        self.known.iter().try_for_each(|known| writer.record(&known.record()))?;
+        self.known.iter().try_for_each(|(_, entry)| writer.entry(entry))?;
         for Batch { process, tid, events } in &self.batches {
-            writer.record(&Record::Events { process: *process, tid: *tid, events })?;
+            writer.events(*process, *tid, events)?;
         }
         writer.entry(&Entry::Finished { monotonic_ns: monotonic_ns() })?;
         writer.flush()?;
