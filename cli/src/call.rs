@@ -2,7 +2,7 @@
 //! Calls services and actions by the names that users type, through a temporary node, with a time limit.
 
 use crate::arguments::full_name;
-use crate::verb::{End, Failure, Outcome, Waited};
+use crate::verb::{CommonArgs, End, Failure, Outcome, Waited};
 use futures::StreamExt;
 use futures::stream::FuturesUnordered;
 use std::collections::BTreeSet;
@@ -10,9 +10,13 @@ use std::future::Future;
 use std::sync::Arc;
 use std::task::{Context as Polled, Wake, Waker};
 use std::thread::{JoinHandle, Thread};
+use std::time::Duration;
 use tautline::{Client, Context, Error, Node, Realtime};
 use tautline_msgs::Service;
-use tautline_transport::{GraphSnapshot, ServiceKind, graph_of};
+use tautline_transport::{GraphSnapshot, NodeInfo, ServiceKind, graph_of};
+
+/// The time limit for the answer of a node.
+pub const PATIENCE: Duration = Duration::from_secs(5);
 
 /// The response, or why there is none.
 pub type Response<T> = Result<<T as Service>::Response, Error>;
@@ -85,6 +89,26 @@ impl Drop for Caller {
     }
 }
 
+/// A node whose services are called.
+pub struct NodeCaller {
+    pub name: String,
+    pub caller: Caller,
+}
+
+impl NodeCaller {
+    /// The node of this name, which must serve `service` (otherwise the error says `what` of it), and must answer within [`PATIENCE`]
+    /// unless `--timeout` states another time.
+    pub fn find(common: &CommonArgs, node: &str, service: &str, what: &str) -> Outcome<Self> {
+        let (end, domain) = (End::within(PATIENCE, common)?, common.domain()?);
+        let name = node_serving(domain, node, service, what)?;
+        Ok(NodeCaller { name, caller: Caller::new(domain, end)? })
+    }
+
+    pub fn call<T: Service>(&mut self, service: &str, request: T::Request) -> Outcome<T::Response> {
+        self.caller.call::<T>(&format!("{}/{service}", self.name), request)
+    }
+}
+
 async fn exchange<T: Service>(client: Client<T>, is_known: bool, request: T::Request) -> Response<T> {
     // A gateway or bridge creates its proxy of the server only when a client appears.
     if is_known {
@@ -138,15 +162,21 @@ pub fn nodes_serving(domain: u32, service: &str) -> Outcome<Vec<String>> {
     Ok(nodes.into_iter().map(str::to_owned).collect())
 }
 
+/// The node of this name; otherwise the error suggests the nearest name.
+pub fn node_named<'g>(graph: &'g GraphSnapshot, name: &str) -> Outcome<&'g NodeInfo> {
+    let names: Vec<String> = graph.nodes.iter().map(|node| node.name.full_name()).collect();
+    match names.iter().position(|there| there == name) {
+        Some(place) => Ok(&graph.nodes[place]),
+        None => Err(Failure::unknown("node", name, names.iter().map(String::as_str), "node list")),
+    }
+}
+
 /// The full name of a node that serves `<node>/<service>`. For a node without this service, the error says `what` of the node.
 pub fn node_serving(domain: u32, node: &str, service: &str, what: &str) -> Outcome<String> {
     let (graph, node) = (graph_of(domain)?, full_name(node));
-    let all: Vec<String> = graph.nodes.iter().map(|node| node.name.full_name()).collect();
     if has_server(&graph, &format!("{node}/{service}")) {
         return Ok(node);
     }
-    match all.contains(&node) {
-        true => Err(Failure::no(format!("node '{node}' {what}: there is no service {node}/{service}"))),
-        false => Err(Failure::unknown("node", &node, all.iter().map(String::as_str), "node list")),
-    }
+    node_named(&graph, &node)?;
+    Err(Failure::no(format!("node '{node}' {what}: there is no service {node}/{service}")))
 }

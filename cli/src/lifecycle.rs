@@ -1,18 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut lifecycle`: the states of managed nodes, and their transitions.
 
-use crate::call::{Caller, no_response, node_serving, nodes_serving};
+use crate::call::{Caller, NodeCaller, PATIENCE, no_response, node_serving, nodes_serving};
 use crate::completions;
 use crate::verb::{CommonArgs, End, Failure, Outcome, Verbs};
 use clap::Subcommand;
 use serde_json::{Value, json};
 use std::io::Write;
-use std::time::Duration;
 use tautline::lifecycle_msgs::msg::{State, TransitionDescription};
 use tautline::lifecycle_msgs::srv::{ChangeState, GetAvailableTransitions, GetState};
-
-/// The time limit for a node to report its state; transitions may take longer.
-const PATIENCE: Duration = Duration::from_secs(5);
 
 const STATE: &str = "get_state";
 const UNMANAGED: &str = "is not managed";
@@ -105,10 +101,8 @@ fn get(common: &CommonArgs, node: Option<&str>) -> Outcome {
 }
 
 fn list(common: &CommonArgs, node: &str, all: bool) -> Outcome {
-    let (end, domain) = (End::within(PATIENCE, common)?, common.domain()?);
     let service = if all { "get_transition_graph" } else { "get_available_transitions" };
-    let node = node_serving(domain, node, service, UNMANAGED)?;
-    let transitions = transitions(&mut Caller::new(domain, end)?, &node, service)?;
+    let transitions = transitions(&mut NodeCaller::find(common, node, service, UNMANAGED)?, service)?;
     let mut out = crate::print::stdout();
     if common.json {
         return Ok(writeln!(out, "{}", json!(transitions))?);
@@ -120,17 +114,15 @@ fn list(common: &CommonArgs, node: &str, all: bool) -> Outcome {
     Ok(())
 }
 
-fn transitions(caller: &mut Caller, node: &str, service: &str) -> Outcome<Vec<TransitionDescription>> {
-    let service = format!("{node}/{service}");
+fn transitions(node: &mut NodeCaller, service: &str) -> Outcome<Vec<TransitionDescription>> {
     let request = GetAvailableTransitions::Request::default();
-    Ok(caller.call::<GetAvailableTransitions::Service>(&service, request)?.available_transitions)
+    Ok(node.call::<GetAvailableTransitions::Service>(service, request)?.available_transitions)
 }
 
 fn set(common: &CommonArgs, node: &str, wanted: &str) -> Outcome {
-    let (end, domain) = (End::within(PATIENCE, common)?, common.domain()?);
-    let node = node_serving(domain, node, "change_state", UNMANAGED)?;
-    let mut caller = Caller::new(domain, end)?;
-    let available = transitions(&mut caller, &node, "get_available_transitions")?;
+    let mut called = NodeCaller::find(common, node, "change_state", UNMANAGED)?;
+    let available = transitions(&mut called, "get_available_transitions")?;
+    let node = &called.name;
     let mut transitions = available.iter().map(|one| &one.transition);
     let id = wanted.parse::<u8>().ok();
     let Some(transition) = transitions.find(|one| one.label == wanted || Some(one.id) == id) else {
@@ -139,16 +131,13 @@ fn set(common: &CommonArgs, node: &str, wanted: &str) -> Outcome {
         return Err(Failure::unknown(&what, wanted, labels, &list));
     };
     // A transition may take long.
-    caller.end = End::of(common)?;
+    called.caller.end = End::of(common)?;
     let request = ChangeState::Request { transition: transition.clone() };
-    let changed = caller.call::<ChangeState::Service>(&format!("{node}/change_state"), request)?;
-    let mut out = crate::print::stdout();
+    let changed = called.call::<ChangeState::Service>("change_state", request)?;
+    let (mut out, node) = (crate::print::stdout(), &called.name);
     if common.json {
-        writeln!(
-            out,
-            "{}",
-            json!({ "node": node, "transition": transition, "successful": changed.success })
-        )?;
+        let told = json!({ "node": node, "transition": transition, "successful": changed.success });
+        writeln!(out, "{told}")?;
     } else if changed.success {
         writeln!(out, "Transitioning successful")?;
     }

@@ -2,7 +2,7 @@
 //! `taut log`: the log lines of nodes, and the levels of their loggers.
 
 use crate::arguments::full_name;
-use crate::call::{Caller, node_serving};
+use crate::call::NodeCaller;
 use crate::compatibility::label;
 use crate::completions;
 use crate::print::Colour;
@@ -28,8 +28,6 @@ const DEPTH: usize = 1000;
 const POLL: Duration = Duration::from_millis(10);
 /// The interval at which the list of nodes is read.
 const LOOK: Duration = Duration::from_secs(1);
-/// How long a node may take to answer.
-const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Prints the lines that nodes log on /rosout, beginning with those kept for late joiners; reads and sets levels.
 ///
@@ -267,17 +265,15 @@ fn logger_of(node: &str) -> String {
 }
 
 fn level(common: &CommonArgs, node: &str, level: Option<LogSeverity>, logger: Option<&str>) -> Outcome {
-    let (end, domain) = (End::within(PATIENCE, common)?, common.domain()?);
     let service = if level.is_some() { "set_logger_levels" } else { "get_logger_levels" };
     let what = "does not serve the levels of its loggers (rclcpp, rclpy: enable_logger_service; Tautline: make_logger_handler)";
-    let node = node_serving(domain, node, service, what)?;
+    let mut called = NodeCaller::find(common, node, service, what)?;
+    let node = called.name.clone();
     let name = logger.map_or_else(|| logger_of(&node), str::to_owned);
-    let mut caller = Caller::new(domain, end)?;
-    let service = format!("{node}/{service}");
     let mut out = crate::print::stdout();
     let Some(level) = level else {
         let request = GetLoggerLevels::Request { names: vec![name.clone()] };
-        let answer = caller.call::<GetLoggerLevels::Service>(&service, request)?;
+        let answer = called.call::<GetLoggerLevels::Service>(service, request)?;
         let own = answer.levels.first().map_or(0, |level| u8::try_from(level.level).unwrap_or(u8::MAX));
         return Ok(match common.json {
             true => writeln!(out, "{}", json!({ "node": node, "logger": name, "level": word(own) })),
@@ -286,16 +282,14 @@ fn level(common: &CommonArgs, node: &str, level: Option<LogSeverity>, logger: Op
     };
     let wanted = LoggerLevel { name: name.clone(), level: level as u32 };
     let request = SetLoggerLevels::Request { levels: vec![wanted] };
-    let answer = caller.call::<SetLoggerLevels::Service>(&service, request)?;
+    let answer = called.call::<SetLoggerLevels::Service>(service, request)?;
     let result = answer.results.into_iter().next().unwrap_or_default();
     let now = level.name();
     if common.json {
         let (successful, reason) = (result.successful, &result.reason);
-        writeln!(
-            out,
-            "{}",
-            json!({ "node": node, "logger": name, "level": now, "successful": successful, "reason": reason })
-        )?;
+        let told =
+            json!({ "node": node, "logger": name, "level": now, "successful": successful, "reason": reason });
+        writeln!(out, "{told}")?;
     } else if result.successful {
         writeln!(out, "Set {name} to {now}")?;
     }

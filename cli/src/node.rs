@@ -2,9 +2,9 @@
 //! `taut node`: the nodes of a domain, and what each has.
 
 use crate::arguments::full_name;
-use crate::call::action_of;
+use crate::call::{action_of, node_named};
 use crate::completions;
-use crate::verb::{Failure, Outcome, Verbs};
+use crate::verb::{Outcome, Verbs};
 use clap::Subcommand;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -43,15 +43,11 @@ pub fn run(args: &Verbs<Verb>) -> Outcome {
         }
         Verb::List => list(&graph.nodes, &mut out)?,
         Verb::Info { node } => {
-            let name = full_name(node);
-            let names: Vec<String> = graph.nodes.iter().map(|node| node.name.full_name()).collect();
-            let Some(place) = names.iter().position(|there| *there == name) else {
-                return Err(Failure::unknown("node", &name, names.iter().map(String::as_str), "node list"));
-            };
-            let parts = Parts::of(&graph, &graph.nodes[place]);
+            let node = node_named(&graph, &full_name(node))?;
+            let parts = Parts::of(&graph, node);
             match args.common.json {
-                true => writeln!(out, "{}", parts.to_json(&graph.nodes[place]))?,
-                false => parts.print(&graph.nodes[place], &mut out)?,
+                true => writeln!(out, "{}", parts.to_json(node))?,
+                false => parts.print(node, &mut out)?,
             }
         }
     }

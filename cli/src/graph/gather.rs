@@ -3,13 +3,13 @@
 
 use super::picture::{Edge, EdgeKind, Mismatch, Node, Picture, Rate, Topic, TopicKind};
 use crate::arguments::full_name;
-use crate::call::action_of;
+use crate::call::{action_of, node_named};
 use crate::compatibility;
 use crate::rates::Rates;
 use crate::table::place;
 use crate::topic::info::qos_line;
 use crate::topic::tap;
-use crate::verb::{Failure, Outcome};
+use crate::verb::Outcome;
 use std::collections::{BTreeMap, BTreeSet};
 use tautline_transport::{EndpointKind, Gid, GraphSnapshot, NodeName, Origin, ServiceKind};
 
@@ -46,9 +46,8 @@ pub fn gather(
 ) -> Outcome<Picture> {
     let full = |name: Option<&str>| name.map(full_name);
     let (node, topic) = (full(wanted.node), full(wanted.topic));
-    let names: Vec<String> = graph.nodes.iter().map(|node| node.name.full_name()).collect();
-    if let Some(node) = node.as_ref().filter(|node| !names.contains(node)) {
-        return Err(Failure::unknown("node", node, names.iter().map(String::as_str), "node list"));
+    if let Some(node) = &node {
+        node_named(graph, node)?;
     }
     if let Some(topic) = topic.as_ref().filter(|topic| tap::ends(graph, topic).next().is_none()) {
         return Err(tap::unknown(graph, topic));

@@ -5,7 +5,7 @@ mod file;
 mod value;
 
 use crate::arguments::full_name;
-use crate::call::{Caller, no_response, node_serving, nodes_serving};
+use crate::call::{Caller, NodeCaller, no_response, nodes_serving};
 use crate::completions;
 use crate::verb::{CommonArgs, End, Failure, Outcome, Verbs};
 use clap::{Args, Subcommand};
@@ -17,8 +17,6 @@ use tautline::rcl_interfaces::msg::{Parameter, ParameterDescriptor};
 use tautline::rcl_interfaces::srv::{DescribeParameters, GetParameters, ListParameters, SetParameters};
 use tautline::{ParameterType, ParameterValue, parameters_of_file};
 
-/// The time limit for the answer of one node.
-const PATIENCE: Duration = Duration::from_secs(5);
 /// The time limit for the answers of all nodes.
 const PATIENCE_OF_ALL: Duration = Duration::from_secs(1);
 
@@ -113,11 +111,12 @@ fn value(text: &str) -> Result<ParameterValue, String> {
 
 pub fn run(args: &Verbs<Verb>) -> Outcome {
     let common = &args.common;
-    let node = |node: &NodeArg| Node::find(common, &node.node);
+    let find = |node: &str| NodeCaller::find(common, node, LIST, "does not serve its parameters");
+    let node = |node: &NodeArg| find(&node.node);
     match &args.verb {
         Verb::List { node: None } => list_all(common),
         Verb::List { node: Some(name) } => {
-            let names = Node::find(common, name)?.names()?;
+            let names = find(name)?.names()?;
             if common.json {
                 return print_json(&json!({ "node": full_name(name), "parameters": names }));
             }
@@ -200,7 +199,7 @@ fn sorted(mut names: Vec<String>) -> Vec<String> {
     names
 }
 
-fn describe(common: &CommonArgs, node: &mut Node, names: Vec<String>) -> Outcome {
+fn describe(common: &CommonArgs, node: &mut NodeCaller, names: Vec<String>) -> Outcome {
     let names = if names.is_empty() { node.names()? } else { names };
     let request = DescribeParameters::Request { names: names.clone() };
     let mut told = node.call::<DescribeParameters::Service>("describe_parameters", request)?.descriptors;
@@ -217,7 +216,7 @@ fn describe(common: &CommonArgs, node: &mut Node, names: Vec<String>) -> Outcome
     Ok(told.iter().try_for_each(|told| write!(crate::print::stdout(), "{}", value::described(told)))?)
 }
 
-fn load(common: &CommonArgs, node: &mut Node, file: &Path) -> Outcome {
+fn load(common: &CommonArgs, node: &mut NodeCaller, file: &Path) -> Outcome {
     let parameters = parameters_of_file(file, &node.name)?;
     if parameters.is_empty() {
         let file = file.display();
@@ -278,23 +277,8 @@ impl Set {
     }
 }
 
-/// A node whose parameters are requested.
-struct Node {
-    name: String,
-    caller: Caller,
-}
-
-impl Node {
-    fn find(common: &CommonArgs, node: &str) -> Outcome<Self> {
-        let (end, domain) = (End::within(PATIENCE, common)?, common.domain()?);
-        let name = node_serving(domain, node, LIST, "does not serve its parameters")?;
-        Ok(Node { name, caller: Caller::new(domain, end)? })
-    }
-
-    fn call<T: tautline::Service>(&mut self, service: &str, request: T::Request) -> Outcome<T::Response> {
-        self.caller.call::<T>(&format!("{}/{service}", self.name), request)
-    }
-
+/// Requests of parameters.
+impl NodeCaller {
     fn names(&mut self) -> Outcome<Vec<String>> {
         let listed = self.call::<ListParameters::Service>(LIST, ListParameters::Request::default())?;
         Ok(sorted(listed.result.names))
