@@ -23,7 +23,7 @@ fn write_graph(picture: &Picture, dot: &mut String) -> fmt::Result {
     writeln!(dot, "  label=\"{}\";", lines.collect::<String>())?;
     for (index, node) in picture.nodes.iter().enumerate() {
         let style = if node.name.is_some() { "filled,rounded" } else { "filled,rounded,dashed" };
-        let label = join([node.label().to_owned(), node.whereabouts()]);
+        let label = join(node.text());
         writeln!(
             dot,
             "  n{index} [shape=box, style=\"{style}\", fillcolor=\"#dbe6f3\", label=\"{label}\"];"
@@ -34,17 +34,15 @@ fn write_graph(picture: &Picture, dot: &mut String) -> fmt::Result {
             TopicKind::Topic => "shape=box, fillcolor=\"#f4f1e6\"",
             _ => "shape=box, style=\"filled,dashed\", fillcolor=\"#eeeaf5\"",
         };
-        let label = join([vec![topic.name.clone()], topic.lines()].concat());
-        writeln!(dot, "  t{index} [{look}, label=\"{label}\"];")?;
+        writeln!(dot, "  t{index} [{look}, label=\"{}\"];", join(topic.text()))?;
     }
     picture.edges.iter().try_for_each(|edge| write_edge(edge, dot))?;
     writeln!(dot, "}}")
 }
 
 fn write_edge(edge: &Edge, dot: &mut String) -> fmt::Result {
-    let (node, topic) = (format!("n{}", edge.node), format!("t{}", edge.topic));
-    let (from, to) = if edge.is_to_node() { (topic, node) } else { (node, topic) };
-    let mut with = vec![format!("edgetooltip=\"{}\"", escape(&format!("{} {}", edge.word(), edge.qos)))];
+    let (from, to) = edge.directed(format!("n{}", edge.node), format!("t{}", edge.topic));
+    let mut with = vec![format!("edgetooltip=\"{}\"", escape(&format!("{} {}", edge.kind.word(), edge.qos)))];
     let lines = edge.lines();
     if !lines.is_empty() {
         with.push(format!("label=\"{}\"", join(lines)));

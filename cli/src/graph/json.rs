@@ -27,7 +27,7 @@ impl Picture {
         };
         let edge = |edge: &Edge| {
             json!({
-                "kind": edge.word(),
+                "kind": edge.kind.word(),
                 "node": edge.node,
                 "node_name": self.nodes[edge.node].name,
                 "topic": self.topics[edge.topic].name,

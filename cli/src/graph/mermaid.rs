@@ -16,13 +16,11 @@ fn write_chart(picture: &Picture, chart: &mut String) -> fmt::Result {
     let caption = picture.caption();
     writeln!(chart, "  caption[\"{}\"]:::caption", join(caption.into_iter().map(|(_, line)| line)))?;
     for (index, node) in picture.nodes.iter().enumerate() {
-        let label = join([node.label().to_owned(), node.whereabouts()]);
-        writeln!(chart, "  n{index}(\"{label}\"):::node")?;
+        writeln!(chart, "  n{index}(\"{}\"):::node", join(node.text()))?;
     }
     for (index, topic) in picture.topics.iter().enumerate() {
         let class = if topic.kind == TopicKind::Topic { "topic" } else { "service" };
-        let label = join([vec![topic.name.clone()], topic.lines()].concat());
-        writeln!(chart, "  t{index}[\"{label}\"]:::{class}")?;
+        writeln!(chart, "  t{index}[\"{}\"]:::{class}", join(topic.text()))?;
     }
     picture.edges.iter().try_for_each(|edge| write_edge(edge, chart))?;
     let bad = picture.edges.iter().enumerate().filter(|(_, edge)| edge.is_bad());
@@ -37,8 +35,7 @@ fn write_chart(picture: &Picture, chart: &mut String) -> fmt::Result {
 }
 
 fn write_edge(edge: &Edge, chart: &mut String) -> fmt::Result {
-    let (node, topic) = (format!("n{}", edge.node), format!("t{}", edge.topic));
-    let (from, to) = if edge.is_to_node() { (topic, node) } else { (node, topic) };
+    let (from, to) = edge.directed(format!("n{}", edge.node), format!("t{}", edge.topic));
     let arrow = if edge.is_service() { "-.->" } else { "-->" };
     let lines = edge.lines();
     let label = if lines.is_empty() { String::new() } else { format!("|\"{}\"|", join(lines)) };

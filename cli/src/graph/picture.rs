@@ -38,6 +38,10 @@ pub enum TopicKind {
     Action,
 }
 
+tautline_rt::names!(TopicKind: pub const fn word(self) -> &'static str {
+    Topic: "topic", Service: "service", Action: "action",
+});
+
 #[derive(Clone, Debug)]
 pub struct Topic {
     pub kind: TopicKind,
@@ -65,6 +69,10 @@ pub enum EdgeKind {
     /// A server responds.
     Serves,
 }
+
+tautline_rt::names!(EdgeKind: pub const fn word(self) -> &'static str {
+    Publishes: "publisher", Subscribes: "subscription", Asks: "client", Serves: "server",
+});
 
 /// A connection between a node and a topic, a service or an action, by their indices.
 #[derive(Clone, Debug)]
@@ -121,19 +129,19 @@ impl Node {
             (None, place) => format!("on {}", place.as_deref().unwrap_or("this host")),
         }
     }
-}
 
-impl TopicKind {
-    pub fn word(self) -> &'static str {
-        match self {
-            TopicKind::Topic => "topic",
-            TopicKind::Service => "service",
-            TopicKind::Action => "action",
-        }
+    /// Its name, and the text below.
+    pub fn text(&self) -> Vec<String> {
+        vec![self.label().to_owned(), self.whereabouts()]
     }
 }
 
 impl Topic {
+    /// Its name, and the text below.
+    pub fn text(&self) -> Vec<String> {
+        [vec![self.name.clone()], self.lines()].concat()
+    }
+
     /// The text below its name.
     pub fn lines(&self) -> Vec<String> {
         let types = self.types.join(" and ");
@@ -164,9 +172,12 @@ impl Rate {
 }
 
 impl Edge {
-    /// Whether messages, or requests, go to the node.
-    pub fn is_to_node(&self) -> bool {
-        matches!(self.kind, EdgeKind::Subscribes | EdgeKind::Serves)
+    /// The node's end and the topic's end in the direction of messages, or of requests.
+    pub fn directed<T>(&self, node: T, topic: T) -> (T, T) {
+        match self.kind {
+            EdgeKind::Subscribes | EdgeKind::Serves => (topic, node),
+            EdgeKind::Publishes | EdgeKind::Asks => (node, topic),
+        }
     }
 
     /// Whether it belongs to a service or an action.
@@ -174,21 +185,12 @@ impl Edge {
         matches!(self.kind, EdgeKind::Asks | EdgeKind::Serves)
     }
 
-    pub fn word(&self) -> &'static str {
-        match self.kind {
-            EdgeKind::Publishes => "publisher",
-            EdgeKind::Subscribes => "subscription",
-            EdgeKind::Asks => "client",
-            EdgeKind::Serves => "server",
-        }
-    }
-
     pub fn is_bad(&self) -> bool {
         self.problem.is_some() || self.bound.as_ref().is_some_and(|bound| !bound.met)
     }
 
     pub fn lines(&self) -> Vec<String> {
-        let count = (self.count > 1).then(|| format!("{} {}s", self.count, self.word()));
+        let count = (self.count > 1).then(|| format!("{} {}s", self.count, self.kind.word()));
         [count, self.problem.clone(), self.bound.as_ref().map(Bound::text)].into_iter().flatten().collect()
     }
 }
@@ -232,14 +234,8 @@ impl Picture {
         }
         let chain = |chain: &Chain| {
             let bound = bound_text(chain.latency_ns, chain.deadline_ns, chain.met);
-            (
-                chain.met,
-                format!(
-                    "Chain {}: {}{bound}",
-                    chain.name,
-                    if chain.latency_ns.is_some() { "latency " } else { "" }
-                ),
-            )
+            let latency = if chain.latency_ns.is_some() { "latency " } else { "" };
+            (chain.met, format!("Chain {}: {latency}{bound}", chain.name))
         };
         let mismatch = |found: &Mismatch| {
             let Mismatch { topic, publisher, subscription, reason } = found;

@@ -51,8 +51,7 @@ fn draw(picture: &Picture, svg: &mut String) -> fmt::Result {
     let padded = |size: Size| Size { width: size.width + 2.5 * PADDING, height: size.height + 2.0 * PADDING };
     let sizes: Vec<Size> = boxes.iter().map(|label| padded(label.size())).collect();
     let link = |(edge, text): (&Edge, &Label)| {
-        let (node, topic) = (edge.node, picture.nodes.len() + edge.topic);
-        let (from, to) = if edge.is_to_node() { (topic, node) } else { (node, topic) };
+        let (from, to) = edge.directed(edge.node, picture.nodes.len() + edge.topic);
         let label = (!text.lines.is_empty()).then(|| text.size());
         // A topic is to the right of its publishers, even if it also has an edge back.
         let weight = if edge.kind == EdgeKind::Publishes { 3 } else { 1 };
@@ -82,12 +81,10 @@ fn draw(picture: &Picture, svg: &mut String) -> fmt::Result {
     )?;
     let mut y = MARGIN + 2.0;
     for (index, (is_good, line)) in caption.iter().enumerate() {
-        let class = if index == 0 {
-            "t"
-        } else if *is_good {
-            ""
-        } else {
-            "r"
+        let class = match (index, is_good) {
+            (0, _) => "t",
+            (_, true) => "",
+            (_, false) => "r",
         };
         text(svg, (MARGIN, y), class, line)?;
         y += 1.5 * LINE;
@@ -130,11 +127,11 @@ fn labels(picture: &Picture) -> Vec<Label> {
 fn draw_boxes(svg: &mut String, picture: &Picture, labels: &[Label], layout: &Layout) -> fmt::Result {
     let nodes = picture.nodes.iter().map(|node| {
         let class = if node.name.is_some() { "n" } else { "n x" };
-        (class, 10, vec![node.label().to_owned(), node.whereabouts()])
+        (class, 10, node.text())
     });
     let topics = picture.topics.iter().map(|topic| {
         let class = if topic.kind == TopicKind::Topic { "o" } else { "s" };
-        (class, 0, [vec![topic.name.clone()], topic.lines()].concat())
+        (class, 0, topic.text())
     });
     for (((class, radius, title), label), (centre, size)) in
         nodes.chain(topics).zip(labels).zip(&layout.boxes)
@@ -184,13 +181,13 @@ fn draw_line(svg: &mut String, picture: &Picture, edge: &Edge, points: &[Point])
         if edge.is_bad() { " b" } else { "" },
         if edge.is_bad() { "ab" } else { "a" },
     );
-    let (node, topic) = (picture.nodes[edge.node].label(), &picture.topics[edge.topic].name);
-    let ends = if edge.is_to_node() { format!("{topic} → {node}") } else { format!("{node} → {topic}") };
+    let (from, to) =
+        edge.directed(picture.nodes[edge.node].label(), picture.topics[edge.topic].name.as_str());
     let qos = if edge.qos.is_empty() { String::new() } else { format!(": {}", edge.qos) };
     writeln!(
         svg,
         "<path class=\"l{dashed}{bad}\" d=\"{path}\" marker-end=\"url(#{head})\"><title>{}</title></path>",
-        escape(&format!("{} {ends}{qos}", edge.word()))
+        escape(&format!("{} {from} → {to}{qos}", edge.kind.word()))
     )
 }
 

@@ -25,13 +25,12 @@ pub fn write(picture: &Picture) -> String {
 
 fn write_topic(picture: &Picture, index: usize, topic: &Topic, text: &mut String) {
     let rate = topic.rate.text().map_or_else(String::new, |rate| format!("  {rate}"));
-    let kind = if topic.kind == TopicKind::Topic { "" } else { topic.kind.word() };
-    let gap = if kind.is_empty() { "" } else { " " };
-    line(
-        topic.types.len() < 2,
-        &format!("{kind}{gap}{}  {}{rate}", topic.name, topic.types.join(" and ")),
-        text,
-    );
+    let kind = match topic.kind {
+        TopicKind::Topic => String::new(),
+        kind => format!("{} ", kind.word()),
+    };
+    let types = topic.types.join(" and ");
+    line(topic.types.len() < 2, &format!("{kind}{}  {types}{rate}", topic.name), text);
     for edge in picture.edges.iter().filter(|edge| edge.topic == index) {
         write_edge(picture, edge, text);
     }
@@ -41,7 +40,11 @@ fn write_topic(picture: &Picture, index: usize, topic: &Topic, text: &mut String
 fn write_edge(picture: &Picture, edge: &Edge, text: &mut String) {
     let qos = if edge.qos.is_empty() { String::new() } else { format!("  {}", edge.qos) };
     let more = edge.lines().iter().map(|line| format!("  {line}")).collect::<String>();
-    line(!edge.is_bad(), &format!("  {:<12}  {}{qos}{more}", edge.word(), label(picture, edge.node)), text);
+    line(
+        !edge.is_bad(),
+        &format!("  {:<12}  {}{qos}{more}", edge.kind.word(), label(picture, edge.node)),
+        text,
+    );
 }
 
 fn label(picture: &Picture, index: usize) -> String {
