@@ -5,7 +5,7 @@ use clap::{Args, Subcommand};
 use std::cell::Cell;
 use std::error::Error;
 use std::fmt;
-use std::io::{self, Write};
+use std::io;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -116,7 +116,7 @@ impl Failure {
     /// Prints the reason and returns the exit code.
     pub fn print(self) -> ExitCode {
         if !self.text.is_empty() {
-            print_line(&format!("taut: {}", self.text));
+            eprintln!("taut: {}", self.text);
         }
         ExitCode::from(self.code)
     }
@@ -283,7 +283,7 @@ impl End {
                 return Ok(Waited::TimedOut);
             }
             if start.elapsed() > PATIENCE && !std::mem::replace(&mut is_printed, true) {
-                print_waiting(&what());
+                eprintln!("taut: waiting for {} ...", what());
             }
             std::thread::park_timeout(self.left().map_or(POLL, |left| left.min(POLL)));
         }
@@ -292,18 +292,9 @@ impl End {
     /// Prints once, after a second, what is waited for.
     pub fn print_waiting_once(&self, what: impl Fn() -> String) {
         if self.start.elapsed() > PATIENCE && !self.is_wait_printed.replace(true) {
-            print_waiting(&what());
+            eprintln!("taut: waiting for {} ...", what());
         }
     }
-}
-
-fn print_waiting(what: &str) {
-    print_line(&format!("taut: waiting for {what} ..."));
-}
-
-/// Writes a line to standard error. A reader that has gone, or a closed terminal, is no error: the verb goes on.
-pub fn print_line(line: &str) {
-    let _ = writeln!(crate::print::stderr(), "{line}");
 }
 
 #[cfg(test)]

@@ -2,6 +2,9 @@
 //! `taut-bag`: the verbs `record`, `play` and `bag` of `taut`, which starts it for them.
 #![forbid(unsafe_code)]
 
+#[macro_use]
+extern crate taut_cli;
+
 mod bag;
 mod definitions;
 mod offered_qos;

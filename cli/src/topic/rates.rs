@@ -10,7 +10,7 @@ use crate::arguments::full_name;
 use crate::completions;
 use crate::table::write_table;
 use crate::times::Times;
-use crate::verb::{CommonArgs, End, Failure, Outcome, print_line, time};
+use crate::verb::{CommonArgs, End, Failure, Outcome, time};
 use clap::Args;
 use indicatif::DecimalBytes;
 use serde_json::{Value, json};
@@ -212,7 +212,7 @@ impl Meter {
         if let Some(clock) = &mut self.sim_clock
             && clock.poll()?
         {
-            print_line("taut: /clock jumped back: counting starts anew");
+            eprintln!("taut: /clock jumped back: counting starts anew");
             flows.clear();
         }
         match &mut self.source {

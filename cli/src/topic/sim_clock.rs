@@ -2,7 +2,7 @@
 //! Simulated time: what `/clock` shows, and how fast it runs.
 
 use super::tap::{Tap, ends};
-use crate::verb::{End, Outcome, print_line};
+use crate::verb::{End, Outcome};
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 use tautline_transport::{EndpointKind, RawSample, Visitor};
@@ -122,9 +122,9 @@ impl SimClock {
         }
         if let Some(difference) = self.readings.difference(with_offset) {
             self.is_reported = true;
-            print_line(&format!(
+            eprintln!(
                 "taut: {TOPIC} {difference}; these numbers are by the system's clock, --sim-time counts by {TOPIC}"
-            ));
+            );
         }
     }
 }

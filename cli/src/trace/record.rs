@@ -4,7 +4,7 @@
 use super::TraceError;
 use super::file::Writer;
 use super::recording::Entry;
-use crate::verb::{CommonArgs, End, print_line, time};
+use crate::verb::{CommonArgs, End, time};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
@@ -78,12 +78,12 @@ pub fn record(
     let (mut sum, start) = (Sum::default(), Instant::now());
     end.restart();
     let progress = progress(is_json);
-    print_line(begun);
+    eprintln!("{begun}");
     let mut next_flush = start + Duration::from_secs(1);
     while !end.is_reached() {
         recorder.poll(&mut |record| note(&mut writer, &mut sum, &record));
         for complaint in recorder.complaints() {
-            progress.suspend(|| print_line(&format!("taut: warning: {complaint}")));
+            progress.suspend(|| eprintln!("taut: warning: {complaint}"));
         }
         progress.set_message(format!(
             "{} processes recording, {} events, {} lost",

@@ -2,7 +2,7 @@
 //! `taut bag convert`: converts bags between the storages and compressions of rosbag2.
 
 use super::{NewArgs, Progress, Sum, whole};
-use crate::record::{failed, say};
+use crate::record::failed;
 use clap::{Args, ValueEnum};
 use serde_json::json;
 use std::io::Write;
@@ -82,7 +82,7 @@ pub fn write(
             (error @ BagError::Interrupted, None) => Failure::no(error.to_string()),
             (error, _) => failed(error),
         })?;
-    converted.notes.iter().for_each(|note| say(&format!("taut: warning: {note}")));
+    converted.notes.iter().for_each(|note| eprintln!("taut: warning: {note}"));
     let out = &mut taut_cli::print::stdout();
     let sum = Sum::of(&converted.files);
     let printed = if common.json {

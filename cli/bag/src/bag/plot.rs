@@ -6,7 +6,7 @@ mod field;
 mod picture;
 
 use super::{Progress, whole};
-use crate::record::{failed, say};
+use crate::record::failed;
 use clap::Args;
 use columns::Columns;
 use field::Wanted;
@@ -192,9 +192,9 @@ impl PlotArgs {
         let of_name = || topics.iter().enumerate().filter(|(_, topic)| topic.name == first.name);
         if of_name().any(|(_, topic)| topic.bare() != bare) {
             let Topic { name, type_name, .. } = &**first;
-            say(&format!(
+            eprintln!(
                 "taut: warning: {name} has several types or definitions, of which the first, {type_name}, is drawn"
-            ));
+            );
         }
         let schema = schema_of(first)?;
         let topics = of_name().filter(|(_, topic)| topic.bare() == bare).map(|(at, _)| at).collect();
@@ -250,7 +250,7 @@ impl Line {
 
     fn warn(&self) {
         if let (unread, Some(why)) = &self.unread {
-            say(&format!("taut: warning: {unread} messages of {} cannot be read: {why}", self.wanted.topic));
+            eprintln!("taut: warning: {unread} messages of {} cannot be read: {why}", self.wanted.topic);
         }
     }
 }

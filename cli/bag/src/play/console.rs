@@ -2,7 +2,7 @@
 //! The terminal while a bag is played: commands and progress.
 
 use super::player::Control;
-use crate::record::{progress, say};
+use crate::record::progress;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -70,7 +70,7 @@ pub fn watch(control: &Arc<Control>, end: &End, start_ns: u64, is_json: bool, is
     let typed = control.clone();
     crate::terminal::on_line(move |line| match word(line) {
         Ok(word) => obey(&typed, start_ns, &word),
-        Err(error) => say(&format!("taut: {error}")),
+        Err(error) => eprintln!("taut: {error}"),
     });
     while !end.is_reached() && !is_over() {
         let (at_ns, messages) =

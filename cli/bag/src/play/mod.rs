@@ -11,7 +11,7 @@ mod statement;
 
 use crate::definitions;
 use crate::offered_qos;
-use crate::record::{failed, say, size};
+use crate::record::{failed, size};
 use clap::Args;
 use feeder::{Fed, Feeder, Part};
 use player::{Clock, Control, Player};
@@ -165,7 +165,7 @@ pub fn run(args: &PlayArgs) -> Outcome {
         let since = Instant::now();
         let tell = &mut |path: &Path| {
             if since.elapsed() > Duration::from_secs(1) {
-                say(&format!("taut: looking through {}", path.display()));
+                eprintln!("taut: looking through {}", path.display());
             }
         };
         Ordered::open(&args.bag, tell).map_err(failed)?
@@ -187,7 +187,7 @@ pub fn run(args: &PlayArgs) -> Outcome {
     args.refuse_live(&participant, &roles)?;
 
     if let Err(error) = rt::lock_memory(MemoryLock::OnFault) {
-        say(&format!("taut: warning: the buffers are not locked into memory: {error}"));
+        eprintln!("taut: warning: the buffers are not locked into memory: {error}");
     }
     let (producer, consumer) = crate::ring::touched(args.budget)?;
     let start_ns = bag.span_ns().map_or(0, |(start_ns, _)| start_ns);
@@ -235,7 +235,7 @@ pub fn run(args: &PlayArgs) -> Outcome {
     end.restart();
     let until = if args.again == Some(None) { ", until Ctrl-C" } else { "" };
     let topics = roles.iter().map(|role| &role.name).collect::<BTreeSet<_>>().len();
-    say(&format!("playing {topics} topics of {} in domain {domain}{until}", args.bag.display()));
+    eprintln!("playing {topics} topics of {} in domain {domain}{until}", args.bag.display());
     console::watch(&control, &end, start_ns, args.common.json, || thread.is_finished());
     let is_interrupted = !thread.is_finished();
     control.stop.store(true, Ordering::Relaxed);
@@ -253,7 +253,7 @@ impl PlayArgs {
         match rt::permission::realtime_permitted(priority) {
             Ok(()) => Policy::Fifo(priority),
             Err(error) => {
-                say(&format!("taut: warning: messages are published at an ordinary priority: {error}"));
+                eprintln!("taut: warning: messages are published at an ordinary priority: {error}");
                 Policy::Other { nice: 0 }
             }
         }
@@ -313,7 +313,7 @@ impl PlayArgs {
                     return Err(Failure::unusable(format!("{error}; leave it out with -x")));
                 }
                 Err(error) => {
-                    say(&format!("taut: warning: {error}"));
+                    eprintln!("taut: warning: {error}");
                     unplayable.push(error);
                     numbers.push(None);
                 }
@@ -340,10 +340,10 @@ impl PlayArgs {
         let type_name = topic.type_name.parse().map_err(|error: SchemaError| unplayable(&error))?;
         let (schema, topic_type) = described(topic, &type_name);
         let qos = offered_qos::read(&topic.qos).unwrap_or_else(|error| {
-            say(&format!(
+            eprintln!(
                 "taut: warning: {}: its recorded QoS cannot be read, so it has the default: {error}",
                 topic.name
-            ));
+            );
             Qos::default()
         });
         let kept = if qos.durability == Durability::TransientLocal { qos.depth } else { 0 };
@@ -408,10 +408,10 @@ impl PlayArgs {
                 let Some(own) = own else { return Ok(None) };
                 if visitor.overwritten(own)?.is_empty() {
                     if !self.wait && since.elapsed() > PATIENCE {
-                        say(&format!(
+                        eprintln!(
                             "taut: warning: no gateway or bridge takes {} for those elsewhere",
                             role.name
-                        ));
+                        );
                         continue;
                     }
                     return Ok(None);
@@ -421,7 +421,7 @@ impl PlayArgs {
             Ok(Some(()))
         })?;
         if is_far {
-            say("taut: subscriptions are elsewhere, too: what arrives there is not known here");
+            eprintln!("taut: subscriptions are elsewhere, too: what arrives there is not known here");
             end.pause(FAR);
         }
         Ok(())
@@ -437,10 +437,7 @@ fn described(topic: &Topic, name: &TypeName) -> (Option<Arc<Schema>>, TopicType)
         Some(text) => match definitions::from_bag(name, &text) {
             Ok(schema) => Some(Arc::new(schema)),
             Err(error) => {
-                say(&format!(
-                    "taut: warning: {}: its recorded definition cannot be used: {error}",
-                    topic.name
-                ));
+                eprintln!("taut: warning: {}: its recorded definition cannot be used: {error}", topic.name);
                 None
             }
         },
@@ -452,10 +449,10 @@ fn described(topic: &Topic, name: &TypeName) -> (Option<Arc<Schema>>, TopicType)
     match agreed {
         Some((topic_type, schema)) => (Some(schema), topic_type),
         None => {
-            say(&format!(
+            eprintln!(
                 "taut: warning: {}: the definition of {} is not known, so what is sent is not checked",
                 topic.name, topic.type_name
-            ));
+            );
             (None, recorded)
         }
     }

@@ -31,7 +31,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use taut_cli::completions;
 use taut_cli::date::date;
-pub use taut_cli::verb::print_line as say;
 use taut_cli::verb::{CommonArgs, End, Failure, Outcome, time};
 use tautline_bag::{BagError, Compression, Options, Writer};
 use tautline_rt::{self as rt, CoreSet, MemoryLock, Policy, ThreadBuilder};
@@ -215,7 +214,7 @@ pub fn run(args: &RecordArgs) -> Outcome {
     }
     // Memory is locked before the first message.
     if let Err(error) = rt::lock_memory(MemoryLock::OnFault) {
-        say(&format!("taut: warning: the buffers are not locked into memory: {error}"));
+        eprintln!("taut: warning: the buffers are not locked into memory: {error}");
     }
     let (producer, consumer) = crate::ring::touched(args.budget.saturating_sub(args.memory_bytes() as u64))?;
     let folder = args.output.clone().unwrap_or_else(|| args.default_folder().into());
@@ -256,7 +255,7 @@ pub fn run(args: &RecordArgs) -> Outcome {
         None => String::new(),
         Some(span) => format!("the last {} s of ", span.as_secs_f64()),
     };
-    say(&format!("recording {what}domain {domain} into {}{until}", folder.display()));
+    eprintln!("recording {what}domain {domain} into {}{until}", folder.display());
     let watched = watch(args, &end, observers, &mut behind, (&is_over, &pause));
     // Whatever happened, the messages sent until now are taken and then written.
     stop.store(true, Ordering::Release);
@@ -326,15 +325,15 @@ fn watch(
     let mut said = Instant::now();
     let mut aside = if args.cores.is_none() { Some(Aside::new()?) } else { None };
     while !end.is_reached() && !is_over.load(Ordering::Acquire) {
-        let tell = |words: &str| progress.suspend(|| say(&format!("taut: {words}")));
+        let tell = |words: &str| progress.suspend(|| eprintln!("taut: {words}"));
         observers.look(tell)?;
         pause.follow(&observers, tell)?;
         if let Some(words) = aside.as_mut().and_then(|aside| aside.look(observers.processes())) {
-            progress.suspend(|| say(&format!("taut: {words}")));
+            progress.suspend(|| eprintln!("taut: {words}"));
         }
         if let Behind::Dumper(dumper, alarms) = behind {
             for alarm in alarms.look(&observers)? {
-                progress.suspend(|| say(&format!("taut: {}: {}", alarm.kind.name(), alarm.words)));
+                progress.suspend(|| eprintln!("taut: {}: {}", alarm.kind.name(), alarm.words));
                 dumper.alarm(alarm);
             }
         }
@@ -422,7 +421,7 @@ impl RecordArgs {
                 Ok(Some(black_box::Tracing::start(recorder, domain, span_ns)?))
             }
             Err(error) => {
-                say(&format!("taut: warning: the black box keeps no trace events: {error}"));
+                eprintln!("taut: warning: the black box keeps no trace events: {error}");
                 Ok(None)
             }
         }

@@ -2,7 +2,6 @@
 //! Decides when the black box is written: a deadline is missed, a process dies, a topic falls silent, or the user requests it.
 
 use super::super::observers::Observers;
-use super::say;
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -125,9 +124,7 @@ impl Alarms {
             // The graph of the last refresh is used until the next.
             Err(error) if error.is_passing() => {
                 if !std::mem::replace(&mut self.is_refused, true) {
-                    say(&format!(
-                        "taut: warning: deaths are noticed only when the system permits it: {error}"
-                    ));
+                    eprintln!("taut: warning: deaths are noticed only when the system permits it: {error}");
                 }
             }
             Err(error) => return Err(error.into()),

@@ -295,7 +295,7 @@ impl Work {
         let dump = Dump { folder, causes, messages, span_ns, trace_events };
         let said = [("black_box", dump.json().to_string()), ("why", dump.why())];
         writer.finish(said.map(|(key, text)| (key.to_owned(), text)).into())?;
-        crate::record::say(&format!("taut: {}", dump.line()));
+        eprintln!("taut: {}", dump.line());
         self.done.dumps.push(dump);
         while self.plan.most_bags.is_some_and(|most| self.done.dumps.len() > most) {
             let oldest = self.done.dumps.remove(0);

@@ -12,7 +12,7 @@ pub use alarms::{Alarms, Kind};
 pub use dumper::{Dump, Dumped, Dumper, Plan};
 pub use tracing::Tracing;
 
-use super::{RecordArgs, Statement, failed, say};
+use super::{RecordArgs, Statement, failed};
 use crate::ring::LATCHED_BYTES;
 use serde_json::json;
 use std::io::Write;
@@ -43,17 +43,17 @@ pub fn print(args: &RecordArgs, folder: &Path, dumped: Outcome<Dumped>, statemen
     }
     // The verdict takes precedence over an error of printing.
     if let Some(short_ns) = dumped.shortest_ns {
-        say(&format!(
+        eprintln!(
             "taut: warning: --budget had room for {:.1} s only: a greater one keeps all of --black-box",
             short_ns as f64 / 1e9
-        ));
+        );
     }
     for (topic, messages) in &dumped.unlatched {
-        say(&format!(
+        eprintln!(
             "taut: warning: {topic}: {messages} messages that its publishers keep for late joiners were not kept: of a topic the black \
              box keeps {} MiB of them",
             LATCHED_BYTES >> 20
-        ));
+        );
     }
     if let Some(error) = dumped.failed {
         return Err(failed(error));

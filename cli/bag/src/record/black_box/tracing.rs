@@ -71,7 +71,7 @@ impl Tracing {
         match answered.recv_timeout(PATIENCE).ok()? {
             Ok(events) => Some(events),
             Err(error) => {
-                crate::record::say(&format!("taut: warning: {}: {error}", path.display()));
+                eprintln!("taut: warning: {}: {error}", path.display());
                 None
             }
         }
