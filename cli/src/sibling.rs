@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Verbs that run separate programs, so that only their users build what these programs need.
 
-use crate::verb::{Failure, Outcome};
+use crate::verb::Outcome;
 use clap::Args;
 use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
@@ -76,7 +76,7 @@ impl Sibling {
     /// The program could not be started.
     pub fn run(&self, verb: &[&str], passed_on: &PassedOn) -> Outcome<ExitCode> {
         let arguments: Vec<_> = verb.iter().map(OsString::from).chain(passed_on.arguments.clone()).collect();
-        Err(Failure::unusable(self.become_it(&arguments).to_string()))
+        Err(self.become_it(&arguments).into())
     }
 
     /// Replaces this process by the program, from the folder of this program or from PATH. Returns only if that fails.

@@ -2,7 +2,6 @@
 //! `taut bag convert`: converts bags between the storages and compressions of rosbag2.
 
 use super::{NewArgs, Progress, Sum, whole};
-use crate::record::failed;
 use clap::{Args, ValueEnum};
 use serde_json::json;
 use std::io::Write;
@@ -80,7 +79,7 @@ pub fn write(
                 Failure::no(format!("not done after {timeout:?}; nothing is left of it"))
             }
             (error @ BagError::Interrupted, None) => Failure::no(error.to_string()),
-            (error, _) => failed(error),
+            (error, _) => error.into(),
         })?;
     converted.notes.iter().for_each(|note| eprintln!("taut: warning: {note}"));
     let out = &mut taut_cli::print::stdout();

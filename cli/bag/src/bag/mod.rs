@@ -4,7 +4,7 @@
 mod convert;
 mod plot;
 
-use crate::record::{Compressed, failed, size};
+use crate::record::{Compressed, size};
 use clap::{Args, Subcommand};
 use indicatif::ProgressBar;
 use regex::Regex;
@@ -18,8 +18,8 @@ use taut_cli::date::date;
 use taut_cli::table::write_table;
 use taut_cli::verb::{CommonArgs, Failure, Outcome, Verbs, time};
 use tautline_bag::{
-    BagError, CDR, Damage, Event, FileReader, FileSummary, Hooks, Options, Storage, Topic, custom_data_of,
-    files_of, index_of, is_being_written, recover,
+    CDR, Damage, Event, FileReader, FileSummary, Hooks, Options, Storage, Topic, custom_data_of, files_of,
+    index_of, is_being_written, recover,
 };
 
 /// Shows, checks, repairs, cuts, merges, converts and draws bags
@@ -135,24 +135,19 @@ pub fn run(args: &Verbs<Verb>) -> Outcome {
 fn info(bag: &Path, is_json: bool) -> Outcome {
     let progress = Progress::new(is_json);
     let (mut files, mut said, mut damaged, mut damages) = (Vec::new(), Vec::new(), None, 0);
-    for path in files_of(bag).map_err(failed)? {
-        match index_of(&path).map_err(failed)? {
+    for path in files_of(bag)? {
+        match index_of(&path)? {
             Some((summary, metadata)) => {
                 files.push(summary);
                 said.extend(metadata);
             }
             // A file without an index is complete if it has no damage.
             None => {
-                progress.say(&path);
-                let mut reader = FileReader::open(&path).map_err(failed)?;
-                let read = reader.read(&mut |event| {
-                    progress.tick();
+                let reader = read(&path, &progress, |event| {
                     if let Event::Metadata(name, values) = event {
                         said.push((name, values));
                     }
-                    Ok::<_, BagError>(())
-                });
-                read.map_err(failed)?;
+                })?;
                 files.push(reader.summary());
                 damages += reader.damage().1;
                 damaged = damaged.or(reader.damage().0.first().map(|damage| (path, damage.clone())));
@@ -207,6 +202,18 @@ fn info(bag: &Path, is_json: bool) -> Outcome {
     }
 }
 
+/// Reads a whole file, and hands its events on.
+fn read(path: &Path, progress: &Progress, mut take: impl FnMut(Event<'_>)) -> Outcome<FileReader> {
+    progress.say(path);
+    let mut reader = FileReader::open(path)?;
+    reader.read(&mut |event| {
+        progress.tick();
+        take(event);
+        Ok::<_, Failure>(())
+    })?;
+    Ok(reader)
+}
+
 /// The number of damaged parts besides the first, in words.
 fn more(damages: u64) -> String {
     match damages {
@@ -226,15 +233,8 @@ fn advice(bag: &Path, file: &Path) -> String {
 fn check(bag: &Path, is_json: bool) -> Outcome {
     let progress = Progress::new(is_json);
     let (mut files, mut damage, mut damages) = (Vec::new(), Vec::new(), 0);
-    for path in files_of(bag).map_err(failed)? {
-        progress.say(&path);
-        let mut reader = FileReader::open(&path).map_err(failed)?;
-        reader
-            .read(&mut |_| {
-                progress.tick();
-                Ok::<_, BagError>(())
-            })
-            .map_err(failed)?;
+    for path in files_of(bag)? {
+        let reader = read(&path, &progress, |_| {})?;
         let (some, all) = reader.damage();
         damage.extend(some.iter().map(|damage| (path.clone(), damage.clone())));
         damages += all;
@@ -269,7 +269,7 @@ fn check(bag: &Path, is_json: bool) -> Outcome {
 
 fn mend(bag: &Path, is_json: bool) -> Outcome {
     let progress = Progress::new(is_json);
-    let files = recover(bag, &mut |path| progress.say(path)).map_err(failed)?;
+    let files = recover(bag, &mut |path| progress.say(path))?;
     progress.end();
     let out = &mut taut_cli::print::stdout();
     if is_json {
@@ -306,14 +306,10 @@ fn cut(args: &CutArgs, common: &CommonArgs) -> Outcome {
     let topics: Vec<_> = args.topics.iter().map(|topic| full_name(topic)).collect();
     let exclude = args.exclude.as_deref().map(Regex::new).transpose()?;
     let mut files = Vec::new();
-    for path in files_of(&args.bag).map_err(failed)? {
-        let mut reader = FileReader::open(&path).map_err(failed)?;
-        files.push(match index_of(&path).map_err(failed)? {
+    for path in files_of(&args.bag)? {
+        files.push(match index_of(&path)? {
             Some((summary, _)) => summary,
-            None => {
-                reader.read(&mut |_| Ok::<_, BagError>(())).map_err(failed)?;
-                reader.summary()
-            }
+            None => read(&path, &Progress::new(true), |_| {})?.summary(),
         });
     }
     let there = Sum::of(&files);

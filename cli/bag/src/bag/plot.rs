@@ -6,7 +6,6 @@ mod field;
 mod picture;
 
 use super::{Progress, whole};
-use crate::record::failed;
 use clap::Args;
 use columns::Columns;
 use field::Wanted;
@@ -86,7 +85,7 @@ pub fn run(args: &PlotArgs, is_json: bool) -> Outcome {
         return Err(Failure::unusable("the picture is nothing for a terminal: name a file with -o FILE.svg"));
     }
     let progress = Progress::new(is_json);
-    let mut bag = Ordered::open(&args.bag, &mut |path| progress.say(path)).map_err(failed)?;
+    let mut bag = Ordered::open(&args.bag, &mut |path| progress.say(path))?;
     let (start_ns, from_ns, to_ns) = args.range(&bag)?;
     // The times of chunks are unchecked, so without --from and --to the range is unlimited.
     let wanted_ns = args.from.map_or(0, |_| from_ns)..=args.to.map_or(u64::MAX, |_| to_ns);
@@ -95,7 +94,7 @@ pub fn run(args: &PlotArgs, is_json: bool) -> Outcome {
         lines.push(args.line(&bag, wanted, (from_ns, to_ns))?);
     }
     bag.rewind(*wanted_ns.start());
-    while let Some(message) = bag.next_message().map_err(failed)? {
+    while let Some(message) = bag.next_message()? {
         progress.tick();
         let at_ns = message.stamp.log_ns;
         if at_ns > *wanted_ns.end() {

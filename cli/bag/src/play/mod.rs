@@ -11,7 +11,7 @@ mod statement;
 
 use crate::definitions;
 use crate::offered_qos;
-use crate::record::{failed, size};
+use crate::record::size;
 use clap::Args;
 use feeder::{Fed, Feeder, Part};
 use player::{Clock, Control, Player};
@@ -168,7 +168,7 @@ pub fn run(args: &PlayArgs) -> Outcome {
                 eprintln!("taut: looking through {}", path.display());
             }
         };
-        Ordered::open(&args.bag, tell).map_err(failed)?
+        Ordered::open(&args.bag, tell)?
     };
     let mut end = End::of(&args.common)?;
     let (from_ns, to_ns) = args.range(&bag)?;

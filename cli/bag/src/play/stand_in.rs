@@ -36,7 +36,7 @@ impl PlayArgs {
             }
         };
         let path = std::path::absolute(&path).unwrap_or(path);
-        let file = SystemFile::read(&path).map_err(|error| Failure::unusable(error.to_string()))?;
+        let file = SystemFile::read(&path)?;
         let nodes: BTreeSet<_> = file.callbacks().iter().map(|callback| callback.node.clone()).collect();
         if !nodes.contains(node) {
             let list = format!("check {}", path.display());

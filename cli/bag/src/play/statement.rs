@@ -4,7 +4,6 @@
 use super::feeder::Fed;
 use super::player::Played;
 use super::{PlayArgs, Role};
-use crate::record::failed;
 use crate::ring::LATCHED_BYTES;
 use serde_json::json;
 use std::io::{self, Write};
@@ -108,7 +107,7 @@ impl Statement<'_> {
 
     fn verdict(self) -> Outcome {
         if let Some(error) = self.fed.failed {
-            return Err(failed(error));
+            return Err(error.into());
         }
         let unplayable: u64 = self.fed.unplayable.iter().map(|(count, _)| count).sum();
         let first = self

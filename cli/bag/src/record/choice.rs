@@ -18,9 +18,7 @@ pub struct Choice {
 
 impl Choice {
     pub fn new(args: &RecordArgs) -> Outcome<Self> {
-        let regex = |text: &Option<String>| {
-            text.as_deref().map(Regex::new).transpose().map_err(|error| Failure::unusable(error.to_string()))
-        };
+        let regex = |text: &Option<String>| text.as_deref().map(Regex::new).transpose();
         let events = |service: &str| format!("{}{EVENTS}", full_name(service));
         let of_action = |action: &String| {
             let of = |part: &str| format!("{}/_action/{part}", full_name(action));

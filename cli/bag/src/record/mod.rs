@@ -226,8 +226,7 @@ pub fn run(args: &RecordArgs) -> Outcome {
     let reader = Reader::new(producer, new_observers.observers, pace, stop.clone());
     let mut behind = match args.black_box {
         None => {
-            let writer = Writer::create(&folder, args.options(), session(domain, reader.offset_ns()))
-                .map_err(failed)?;
+            let writer = Writer::create(&folder, args.options(), session(domain, reader.offset_ns()))?;
             Behind::BagWriter(BagWriter::start(
                 writer,
                 consumer,
@@ -394,10 +393,9 @@ impl RecordArgs {
     fn plan(&self, folder: &Path, domain: u32, span: Duration, offset_ns: i64) -> Outcome<black_box::Plan> {
         // Refused now, rather than when an alarm needs the folder.
         if folder.exists() {
-            return Err(failed(BagError::Exists(folder.to_owned())));
+            return Err(BagError::Exists(folder.to_owned()).into());
         }
-        let refuse = |source| failed(BagError::Write { path: folder.to_owned(), source });
-        std::fs::create_dir(folder).map_err(refuse)?;
+        std::fs::create_dir(folder).map_err(|source| BagError::Write { path: folder.to_owned(), source })?;
         Ok(black_box::Plan {
             folder: folder.to_owned(),
             options: Options { keep_files: None, ..self.options() },
@@ -448,10 +446,6 @@ fn session(domain: u32, offset_ns: i64) -> BTreeMap<String, String> {
     ]
     .map(|(key, value)| (key.to_owned(), value))
     .into()
-}
-
-pub fn failed(error: tautline_bag::BagError) -> Failure {
-    Failure::unusable(error.to_string())
 }
 
 #[cfg(test)]

@@ -3,7 +3,6 @@
 
 use super::bag_writer::Written;
 use super::event::Part;
-use super::failed;
 use super::observers::{Before, Observers, RecordedTopic};
 use super::reader::{Harvest, Taken};
 use serde_json::{Value, json};
@@ -90,7 +89,7 @@ impl Statement {
 
     pub fn print(&self, folder: &Path, written: Outcome<Written>, is_json: bool) -> Outcome {
         let Written { finished, failed: stopped, messages, stall } = written?;
-        let finished = finished.map_err(failed)?;
+        let finished = finished?;
         let taken: u64 = self.rows.iter().map(|row| row.taken.messages).sum();
         // Messages that were taken and not written: for lack of room on the disk, or because they are no requests of their service.
         let unwritten = taken - messages;

@@ -12,7 +12,7 @@ pub use alarms::{Alarms, Kind};
 pub use dumper::{Dump, Dumped, Dumper, Plan};
 pub use tracing::Tracing;
 
-use super::{RecordArgs, Statement, failed};
+use super::{RecordArgs, Statement};
 use crate::ring::LATCHED_BYTES;
 use serde_json::json;
 use std::io::Write;
@@ -56,7 +56,7 @@ pub fn print(args: &RecordArgs, folder: &Path, dumped: Outcome<Dumped>, statemen
         );
     }
     if let Some(error) = dumped.failed {
-        return Err(failed(error));
+        return Err(error.into());
     }
     match lost + dumped.unusable {
         0 => printed.map_err(Failure::from),
