@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The real-time cores: isolation, interrupts, frequency, idle states, hardware threads that share one.
 
-use super::finding::{Checked, Cost, Finding, MEASURE, Verdict, plain};
+use super::finding::{Checked, Cost, Finding, MEASURE, plain};
 use super::host::{Host, isolated};
 use rustix::fs::{Access, access};
 use std::collections::BTreeSet;
@@ -15,7 +15,7 @@ pub fn online(host: &Host) -> Checked {
         let how = if host.is_chosen() { "" } else { ", all there are: none is named or isolated" };
         return Ok(Finding::good(format!("{cores}{how}")));
     }
-    Ok(Finding::new(Verdict::Bad, format!("{cores}, of which only these are online: {online}"))
+    Ok(Finding::bad(format!("{cores}, of which only these are online: {online}"))
         .costs(Cost::Unknown("threads bound to such a core do not start"))
         .fix("name others (--cores, the system file), or bring them online"))
 }
@@ -30,7 +30,7 @@ pub fn isolation(host: &Host) -> Checked {
         true => format!("of the real-time cores {cores} these are isolated: {isolated}"),
         false => format!("no core is isolated: real-time threads share cores {cores} with everything else"),
     };
-    let finding = Finding::new(Verdict::Advice, value).costs(MEASURE);
+    let finding = Finding::advice(value).costs(MEASURE);
     if others.is_empty() {
         return Ok(finding.fix("say which cores are for real-time threads (--cores, --system) and leave others to the rest; or isolate some (isolcpus)"));
     }
@@ -85,10 +85,10 @@ pub fn interrupts(host: &Host) -> Checked {
     let others = host.others()?;
     if others.is_empty() {
         let fix = "say which cores are for real-time threads (--cores, --system), so that interrupts can go to the others";
-        return Ok(Finding::new(Verdict::Advice, value).costs(MEASURE).fix(fix));
+        return Ok(Finding::advice(value).costs(MEASURE).fix(fix));
     }
     let away = |number: u32| format!("echo {others} > /proc/irq/{number}/smp_affinity_list");
-    Ok(Finding::new(Verdict::Bad, value)
+    Ok(Finding::bad(value)
         .costs(MEASURE)
         .fix(format!("{}, likewise the others, and keep irqbalance from these cores (IRQBALANCE_BANNED_CPULIST={cores})", away(hits[0].1)))
         .script(hits.iter().map(|(_, number, actions)| {
@@ -124,7 +124,7 @@ pub fn governor(host: &Host) -> Checked {
             let value =
                 format!("core {core} has no cpufreq folder: firmware or hypervisor choose its frequency");
             let fix = "choose the highest performance there, or load the processor's cpufreq driver";
-            return Ok(Finding::new(Verdict::Unknown, value).costs(MEASURE).fix(fix));
+            return Ok(Finding::unknown(value).costs(MEASURE).fix(fix));
         };
         if name != "performance" {
             others = others.with(core);
@@ -147,7 +147,7 @@ pub fn governor(host: &Host) -> Checked {
         None => MEASURE,
     };
     let line = |core: usize| format!("echo performance > {CPU}/cpu{core}/cpufreq/scaling_governor");
-    Ok(Finding::new(Verdict::Advice, format!("{names} on cores {others}"))
+    Ok(Finding::advice(format!("{names} on cores {others}"))
         .costs(cost)
         .fix("cpupower frequency-set -g performance, or write it to scaling_governor of these cores")
         .script(others.iter().map(line)))
@@ -167,7 +167,7 @@ pub fn idle(host: &Host) -> Checked {
         if !host.tree.has(&folder) {
             let value = format!("core {core} has no cpuidle folder: how it idles, the kernel does not tell");
             let fix = "boot with idle=poll if the wake-ups of `cargo xtask bench wake` are too slow";
-            return Ok(Finding::new(Verdict::Unknown, value).costs(Cost::Unknown("not known")).fix(fix));
+            return Ok(Finding::unknown(value).costs(Cost::Unknown("not known")).fix(fix));
         }
         for state in host.tree.list(&folder)? {
             let file = |name| format!("{folder}/{state}/{name}");
@@ -195,7 +195,7 @@ pub fn idle(host: &Host) -> Checked {
             format!("{value}, held off while a program spins in real time ({LATENCY_DEVICE} is writable)");
         return Ok(Finding::good(value));
     }
-    Ok(Finding::new(Verdict::Advice, format!("{value}, and {LATENCY_DEVICE} is not writable for this user"))
+    Ok(Finding::advice(format!("{value}, and {LATENCY_DEVICE} is not writable for this user"))
         .costs(cost)
         .fix("open it to the group realtime by a udev rule: programs then hold idle states off while they spin; or boot with idle=poll")
         .script([
@@ -226,7 +226,7 @@ pub fn siblings(host: &Host) -> Checked {
         .flat_map(|(_, siblings)| siblings.iter())
         .filter(|sibling| !cores.contains(*sibling))
         .collect();
-    Ok(Finding::new(Verdict::Advice, value)
+    Ok(Finding::advice(value)
         .costs(Cost::Unknown("not known; --measure shows it while the sibling is busy"))
         .fix("use one of each pair for real-time threads and take the other offline, or switch SMT off (firmware, nosmt)")
         .script(off.into_iter().map(|core| format!("echo 0 > {CPU}/cpu{core}/online"))))

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Faults in a domain: mixed versions, duplicate names, incompatible endpoints, files of killed processes, too little shared memory.
 
-use super::finding::{Finding, Verdict};
+use super::finding::{Checked, Finding};
 use super::host::Tree;
 use crate::compatibility;
 use indicatif::BinaryBytes;
@@ -53,7 +53,7 @@ fn one_or_good(check: &'static str, found: Vec<Finding>, good: impl Fn() -> Stri
 
 fn versions(left_out: &[TransportError]) -> Vec<Finding> {
     let bad = |error: &TransportError| {
-        Finding::new(Verdict::Bad, error.to_string())
+        Finding::bad(error.to_string())
             .fix("build all programs of the domain with one version of Tautline (docs/troubleshooting.md)")
     };
     one_or_good("versions", left_out.iter().map(bad).collect(), || {
@@ -69,7 +69,7 @@ fn names(graph: &GraphSnapshot) -> Vec<Finding> {
             None => format!("on {}", crate::table::place(&node.origin).unwrap_or("this host")),
         });
         let places = places.collect::<Vec<_>>().join(", ");
-        Finding::new(Verdict::Bad, format!("{} nodes are called {}: {places}", same.len(), same[0].name))
+        Finding::bad(format!("{} nodes are called {}: {places}", same.len(), same[0].name))
             .fix("rename one: --ros-args -r __node:=NAME; which of them answers requests for its parameters is chance")
     };
     twice.map(bad).collect()
@@ -91,7 +91,7 @@ fn mismatches(graph: &GraphSnapshot) -> Vec<Finding> {
         let fix = format!(
             "change one of them: `taut topic info {topic} -v` shows both; docs/qos.md lists what is compatible"
         );
-        Finding::new(Verdict::Bad, format!("{topic}: no message gets from {pairs}: {reason}")).fix(fix)
+        Finding::bad(format!("{topic}: no message gets from {pairs}: {reason}")).fix(fix)
     };
     pairs.into_iter().map(bad).collect()
 }
@@ -101,7 +101,7 @@ fn taken(path: &Path) -> u64 {
     fs::symlink_metadata(path).map_or(0, |file| file.blocks() * 512)
 }
 
-fn left_behind(domain: u32) -> super::finding::Checked {
+fn left_behind(domain: u32) -> Checked {
     let folder = shared_folder(domain);
     let list = |prefix: &str| shm::list(prefix).map_err(|error| error.to_string());
     let (mut left, mut traces, mut living) = (Vec::new(), Vec::new(), 0);
@@ -137,14 +137,14 @@ fn left_behind(domain: u32) -> super::finding::Checked {
         0 => format!("no process of the domain runs: rm -r {path}; `taut trace record --seconds 0` saves the traces before"),
         _ => "`taut trace record --seconds 0` fetches traces and removes them; the domain's processes remove the rest".to_owned(),
     };
-    Ok(Finding::new(Verdict::Advice, value).fix(fix).script(
+    Ok(Finding::advice(value).fix(fix).script(
         // Only as a comment: processes may run again when the script is run.
         (living == 0).then(|| format!("# If no process of domain {domain} runs: rm -r '{path}'")),
     ))
 }
 
 /// Reports what is left of this user's other domains in which every process was killed, of all scopes; removes it if `remove` is set.
-pub fn dead_domains(remove: bool) -> super::finding::Checked {
+pub fn dead_domains(remove: bool) -> Checked {
     let folders = all_shared_folders().map_err(|error| format!("{}: {error}", shm::DIRECTORY))?;
     let (mut left, mut removed) = (Vec::new(), Vec::new());
     for (domain, folder) in folders {
@@ -160,7 +160,7 @@ pub fn dead_domains(remove: bool) -> super::finding::Checked {
     }
     if !left.is_empty() {
         let value = format!("every process was killed of {}", left.join(", "));
-        return Ok(Finding::new(Verdict::Advice, value)
+        return Ok(Finding::advice(value)
             .fix("taut doctor --remove-dead; the next program of this user that starts removes it, too")
             // Only as a comment: root, who runs the script, removes domains of root alone.
             .script(["# As the user whose domains they are: taut doctor --remove-dead"]));
@@ -178,20 +178,19 @@ pub fn free_bytes(tree: &Tree) -> Result<u64, String> {
     Ok(stat.f_bavail.saturating_mul(stat.f_frsize))
 }
 
-fn memory(tree: &Tree, domain: u32) -> super::finding::Checked {
+fn memory(tree: &Tree, domain: u32) -> Checked {
     let files = shm::list(&format!("{}/", shared_folder(domain))).map_err(|error| error.to_string())?;
     let (free, taken) = (free_bytes(tree)?, files.iter().map(|path| taken(path)).sum::<u64>());
     let value = format!("{} free, domain {domain} has {}", BinaryBytes(free), BinaryBytes(taken));
-    let verdict = match free {
-        _ if free < LEAST_BYTES => Verdict::Bad,
-        _ if free < taken => Verdict::Advice,
+    let least = BinaryBytes(LEAST_BYTES);
+    let finding = match free {
+        _ if free < LEAST_BYTES => {
+            Finding::bad(format!("{value}: not enough for one more process ({least})"))
+        }
+        _ if free < taken => Finding::advice(format!("{value}: not enough to start as much again beside it")),
         _ => return Ok(Finding::good(value)),
     };
-    let value = match verdict {
-        Verdict::Bad => format!("{value}: not enough for one more process ({})", BinaryBytes(LEAST_BYTES)),
-        _ => format!("{value}: not enough to start as much again beside it"),
-    };
-    Ok(Finding::new(verdict, value)
+    Ok(finding
         .fix("mount -o remount,size=4G /dev/shm, in a container --shm-size; or lower depths and limits (docs/memory.md)")
         .script(["# As large as the topics need (docs/memory.md): mount -o remount,size=4G /dev/shm"]))
 }

@@ -68,11 +68,23 @@ impl Finding {
         Finding::new(Verdict::Good, value)
     }
 
+    pub fn advice(value: impl Into<String>) -> Self {
+        Finding::new(Verdict::Advice, value)
+    }
+
+    pub fn bad(value: impl Into<String>) -> Self {
+        Finding::new(Verdict::Bad, value)
+    }
+
+    pub fn unknown(value: impl Into<String>) -> Self {
+        Finding::new(Verdict::Unknown, value)
+    }
+
     /// The finding of the check with this name.
     pub fn of(check: &'static str, found: Checked) -> Self {
         let unread = |tried: String| {
             let fix = "run it as root, or find out why the kernel or the container hides it";
-            Finding::new(Verdict::Unknown, format!("cannot be read: {tried}")).costs(MEASURE).fix(fix)
+            Finding::unknown(format!("cannot be read: {tried}")).costs(MEASURE).fix(fix)
         };
         Finding { check, ..found.unwrap_or_else(unread) }
     }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! How kernel and hypervisor affect real-time threads: preemption, throttling, the clock, stolen time.
 
-use super::finding::{Checked, Cost, Finding, MEASURE, Verdict};
+use super::finding::{Checked, Cost, Finding, MEASURE};
 use super::host::Host;
 use tautline::CoreSet;
 use tautline_rt::clock::monotonic_ns;
@@ -23,7 +23,7 @@ pub fn preemption(host: &Host) -> Checked {
     if kind == Preemption::Rt {
         return Ok(Finding::good(value));
     }
-    Ok(Finding::new(Verdict::Bad, format!("{value}: how long the kernel delays a thread has no bound"))
+    Ok(Finding::bad(format!("{value}: how long the kernel delays a thread has no bound"))
         .costs(MEASURE)
         .fix("boot a kernel with CONFIG_PREEMPT_RT (Debian: linux-image-rt-amd64; Ubuntu: pro enable realtime-kernel)")
         .script([
@@ -46,21 +46,18 @@ pub fn budgets(host: &Host) -> Checked {
         Err(error) => return Err(error.to_string()),
     }
     let raise = "for p in $(pgrep ktimers/); do chrt -f -p 98 $p; done";
-    let (verdict, value) = match prove_enforcement_by(Enforcement::Enforcer, sampler) {
-        Ok(()) => (
-            Verdict::Advice,
-            format!(
-                "timers do not reach a busy thread at SCHED_FIFO {highest}; each process that holds budgets has a thread at {sampler} that \
-                 does (tried)"
-            ),
-        ),
-        Err(error @ RtError::BudgetNotEnforced { .. }) => (Verdict::Bad, error.to_string()),
+    let finding = match prove_enforcement_by(Enforcement::Enforcer, sampler) {
+        Ok(()) => Finding::advice(format!(
+            "timers do not reach a busy thread at SCHED_FIFO {highest}; each process that holds budgets has a thread at {sampler} that \
+             does (tried)"
+        )),
+        Err(error @ RtError::BudgetNotEnforced { .. }) => Finding::bad(error.to_string()),
         Err(error) => return Err(error.to_string()),
     };
     let cost = Cost::Unknown(
         "two runs of that thread for a job with a budget; `cargo xtask bench budgets` measures jobs",
     );
-    Ok(Finding::new(verdict, value)
+    Ok(finding
         .costs(cost)
         .fix(format!(
             "raise the kernel's timers above the callbacks, which costs whatever else they serve: {raise}"
@@ -104,7 +101,7 @@ pub fn throttling(host: &Host) -> Checked {
     }
     let value = format!("real-time threads get {runtime} of each {period} µs of a core");
     let source = format!("pause in each period that they want more of; {RUNTIME}");
-    Ok(Finding::new(Verdict::Advice, value)
+    Ok(Finding::advice(value)
         .costs(Cost::Known((period - runtime) as f64, source))
         .fix("state it in the system file (throttling), or switch it off: sysctl -w kernel.sched_rt_runtime_us=-1; a thread that never sleeps then keeps its core for ever")
         .script([
@@ -141,13 +138,10 @@ pub fn fair_server(host: &Host) -> Checked {
         return Ok(Finding::good("off, or a Linux before 6.12"));
     };
     let off = |core: usize| format!("echo 0 > {FAIR_SERVER}/cpu{core}/runtime");
-    Ok(Finding::new(
-        Verdict::Advice,
-        format!("ordinary threads that starve get {runtime} of each {period} µs"),
-    )
-    .costs(Cost::Known(runtime as f64, format!("{FAIR_SERVER}/cpu{core}/runtime")))
-    .fix(format!("state it in the system file (throttling), or on each real-time core: {}", off(core)))
-    .script(host.cores()?.iter().map(off)))
+    Ok(Finding::advice(format!("ordinary threads that starve get {runtime} of each {period} µs"))
+        .costs(Cost::Known(runtime as f64, format!("{FAIR_SERVER}/cpu{core}/runtime")))
+        .fix(format!("state it in the system file (throttling), or on each real-time core: {}", off(core)))
+        .script(host.cores()?.iter().map(off)))
 }
 
 pub fn clock(host: &Host) -> Checked {
@@ -174,7 +168,7 @@ pub fn clock(host: &Host) -> Checked {
         None => Cost::Unknown("not known; it is measured when this runs on that host"),
     };
     let value = format!("{name}, of {available}: each reading is a system call and an access to a device");
-    let finding = Finding::new(Verdict::Bad, value).costs(cost);
+    let finding = Finding::bad(value).costs(cost);
     if available.split_whitespace().any(|other| other == "tsc") {
         let line = format!("echo tsc > {folder}/current_clocksource");
         return Ok(finding.fix(format!("{line}; if it goes back, boot with tsc=reliable")).script([line]));
@@ -201,18 +195,17 @@ pub fn steal(host: &Host) -> Checked {
     let share = stolen as f64 / all.max(1) as f64 * 100.0;
     match (stolen, host.is_virtual()?) {
         (0, false) => Ok(Finding::good("none")),
-        (0, true) => Ok(Finding::new(
-            Verdict::Unknown,
-            "none is reported, but this is a virtual machine, whose hypervisor may not report it",
-        )
-        .costs(MEASURE)
-        .fix("--measure; give each virtual processor a physical one of its own")),
-        _ => Ok(Finding::new(
-            Verdict::Bad,
-            format!("{stolen} ticks of 10 ms since booting on cores {cores}, {share:.3} % of the time"),
-        )
-        .costs(MEASURE)
-        .fix("the hypervisor gives these cores to others: give each virtual processor a physical one of its own, or use no virtual machine; if it has a quota, TAUT_HOLD_IDLE=off uses less of it")),
+        (0, true) => {
+            let value = "none is reported, but this is a virtual machine, whose hypervisor may not report it";
+            let fix = "--measure; give each virtual processor a physical one of its own";
+            Ok(Finding::unknown(value).costs(MEASURE).fix(fix))
+        }
+        _ => {
+            let value =
+                format!("{stolen} ticks of 10 ms since booting on cores {cores}, {share:.3} % of the time");
+            let fix = "the hypervisor gives these cores to others: give each virtual processor a physical one of its own, or use no virtual machine; if it has a quota, TAUT_HOLD_IDLE=off uses less of it";
+            Ok(Finding::bad(value).costs(MEASURE).fix(fix))
+        }
     }
 }
 

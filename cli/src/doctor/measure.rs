@@ -107,8 +107,7 @@ pub fn finding(seen: &[Seen]) -> Checked {
     let unseen: CoreSet = seen.iter().filter(|seen| seen.sum.window_ns == 0).map(|seen| seen.core).collect();
     if !unseen.is_empty() && worst.sum.longest_ns < BAD_NS {
         let value = format!("cores {unseen} were not watched: they are withheld, or the end came first");
-        return Ok(Finding::new(Verdict::Unknown, value)
-            .fix("give this process those cores, and --measure its time"));
+        return Ok(Finding::unknown(value).fix("give this process those cores, and --measure its time"));
     }
     let (core, longest_ns) = (worst.core, worst.sum.longest_ns);
     let value = format!(
@@ -119,9 +118,7 @@ pub fn finding(seen: &[Seen]) -> Checked {
     );
     if worst.policy.realtime_priority().is_none() {
         let value = format!("{value}: not in real time, so other threads are among what interrupted");
-        return Ok(
-            Finding::new(Verdict::Unknown, value).fix("measure with the right to real-time priorities")
-        );
+        return Ok(Finding::unknown(value).fix("measure with the right to real-time priorities"));
     }
     let verdict = match longest_ns {
         BAD_NS.. => Verdict::Bad,

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Settings by which the kernel removes or moves the memory of real-time threads: swap, transparent huge pages.
 
-use super::finding::{Checked, Finding, MEASURE, Verdict};
+use super::finding::{Checked, Finding, MEASURE};
 use super::host::Host;
 
 pub fn swap(host: &Host) -> Checked {
@@ -10,7 +10,7 @@ pub fn swap(host: &Host) -> Checked {
     if devices.is_empty() {
         return Ok(Finding::good("none"));
     }
-    Ok(Finding::new(Verdict::Advice, format!("on {}", devices.join(", ")))
+    Ok(Finding::advice(format!("on {}", devices.join(", ")))
         .costs(MEASURE)
         .fix("Tautline locks its memory; what does not (ContextBuilder::lock_memory(false), shared memory of ordinary programs) may wait for the disk: swapoff -a, and remove it from /etc/fstab")
         .script(["swapoff -a", "# and remove its lines from /etc/fstab"]))
@@ -27,11 +27,8 @@ pub fn huge_pages(host: &Host) -> Checked {
     if mode != "always" {
         return Ok(Finding::good(mode));
     }
-    Ok(Finding::new(
-        Verdict::Advice,
-        "always: the kernel merges pages of any process, which stops it for that time",
-    )
-    .costs(MEASURE)
-    .fix(format!("echo madvise > {file}, or boot with transparent_hugepage=madvise"))
-    .script([format!("echo madvise > {file}")]))
+    Ok(Finding::advice("always: the kernel merges pages of any process, which stops it for that time")
+        .costs(MEASURE)
+        .fix(format!("echo madvise > {file}, or boot with transparent_hugepage=madvise"))
+        .script([format!("echo madvise > {file}")]))
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Permissions of this user: real-time priorities, locked memory, real-time threads in its cpu cgroup, files in /dev/shm after logout.
 
-use super::finding::{Checked, Cost, Finding, Verdict};
+use super::finding::{Checked, Cost, Finding};
 use super::host::{Host, Tree};
 use indicatif::BinaryBytes;
 use std::collections::BTreeMap;
@@ -31,7 +31,7 @@ pub fn priority(host: &Host) -> Checked {
         "add the line `@realtime - rtprio 98` to {LIMITS}, join the group realtime and log in again; for a unit of systemd LimitRTPRIO=98"
     );
     let bad = |value: String, fix: String| {
-        Finding::new(Verdict::Bad, value).costs(REFUSED).fix(fix).script(allow(&["rtprio 98"]))
+        Finding::bad(value).costs(REFUSED).fix(fix).script(allow(&["rtprio 98"]))
     };
     if host.tree.is_here() {
         return Ok(match realtime_permitted(wanted) {
@@ -63,7 +63,7 @@ pub fn locked_memory(host: &Host) -> Checked {
     }
     Ok(match limit {
         None => Finding::good("without a limit"),
-        Some(bytes) => Finding::new(Verdict::Bad, format!("at most {} (RLIMIT_MEMLOCK)", BinaryBytes(bytes)))
+        Some(bytes) => Finding::bad(format!("at most {} (RLIMIT_MEMLOCK)", BinaryBytes(bytes)))
             .costs(REFUSED)
             .fix(format!(
                 "add the line `@realtime - memlock unlimited` to {LIMITS}, join the group realtime and log in again; for a unit of systemd LimitMEMLOCK=infinity"
@@ -127,7 +127,7 @@ pub fn cgroup(host: &Host) -> Checked {
         }
     };
     let script = leave.map(|leave| format!("# In the shell that starts the programs: {leave}"));
-    Ok(Finding::new(Verdict::Bad, format!("group {group} has no real-time runtime ({file} is 0)"))
+    Ok(Finding::bad(format!("group {group} has no real-time runtime ({file} is 0)"))
         .costs(REFUSED)
         .fix(fix)
         .script(script))
@@ -152,16 +152,16 @@ pub fn remove_ipc(host: &Host) -> Checked {
     if is_no {
         return Ok(Finding::good(format!("RemoveIPC={value} ({file})")));
     }
-    Ok(Finding::new(
-        Verdict::Bad,
-        format!("RemoveIPC={value} ({file}): at the last logout of user {uid} its files in /dev/shm go, also from under what still runs"),
-    )
-    .fix("set RemoveIPC=no in a drop-in of logind.conf and restart systemd-logind, or run the programs as a system user's service")
-    .script([
-        "mkdir -p /etc/systemd/logind.conf.d",
-        "printf '[Login]\\nRemoveIPC=no\\n' > /etc/systemd/logind.conf.d/90-tautline.conf",
-        "systemctl restart systemd-logind",
-    ]))
+    let value = format!(
+        "RemoveIPC={value} ({file}): at the last logout of user {uid} its files in /dev/shm go, also from under what still runs"
+    );
+    Ok(Finding::bad(value)
+        .fix("set RemoveIPC=no in a drop-in of logind.conf and restart systemd-logind, or run the programs as a system user's service")
+        .script([
+            "mkdir -p /etc/systemd/logind.conf.d",
+            "printf '[Login]\\nRemoveIPC=no\\n' > /etc/systemd/logind.conf.d/90-tautline.conf",
+            "systemctl restart systemd-logind",
+        ]))
 }
 
 /// Folders of systemd's configuration. Of files of one name that of the last folder is used (systemd's logind.conf(5)).

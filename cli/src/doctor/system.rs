@@ -2,7 +2,7 @@
 //! `--system`: whether a system file fits this host. `taut check` says whether it is schedulable.
 
 use super::domain::free_bytes;
-use super::finding::{Checked, Cost, Finding, Verdict};
+use super::finding::{Checked, Cost, Finding};
 use super::host::Host;
 use super::kernel::allowance;
 use crate::check::{read_file, this_host};
@@ -79,7 +79,7 @@ impl System {
             if let Err(error) = probe.spawn(|| || ()).and_then(|thread| thread.join()) {
                 let value = format!("SCHED_DEADLINE for `{}` is refused (tried)", callback.entry.name);
                 let cost = Cost::Unknown("programs do not start in real time");
-                return Some(Ok(Finding::new(Verdict::Bad, value).costs(cost).fix(error.to_string())));
+                return Some(Ok(Finding::bad(value).costs(cost).fix(error.to_string())));
             }
         }
         Some(Ok(Finding::good(format!(
@@ -115,11 +115,8 @@ impl System {
             return Err("/proc shows no thread of the kernel (a container's own PID namespace?)".into());
         }
         if highest == 99 {
-            return Ok(Finding::new(
-                Verdict::Bad,
-                "the file has priority 99, which is that of the kernel's own most urgent threads",
-            )
-            .fix("stay at 98 or below"));
+            let value = "the file has priority 99, which is that of the kernel's own most urgent threads";
+            return Ok(Finding::bad(value).fix("stay at 98 or below"));
         }
         if waiting.is_empty() {
             return Ok(Finding::good(format!(
@@ -128,7 +125,7 @@ impl System {
         }
         let value =
             format!("wait on cores {cores} for threads of the file, up to {highest}: {}", waiting.join(", "));
-        Ok(Finding::new(Verdict::Advice, value)
+        Ok(Finding::advice(value)
             .costs(Cost::Unknown("not known: it costs what depends on these, not the file's threads"))
             .fix("send the interrupts to other cores; what callbacks depend on gets a higher priority: chrt -f -p PRIORITY PID"))
     }
@@ -151,7 +148,7 @@ impl System {
         let value = format!(
             "the kernel keeps real-time threads to {runtime} of {period} µs, which the file does not say"
         );
-        Ok(Finding::new(Verdict::Advice, value)
+        Ok(Finding::advice(value)
             .costs(Cost::Known(
                 (period - runtime) as f64,
                 "in each period with more work; as `throttling` and `fair server`".into(),
@@ -197,14 +194,14 @@ impl System {
         }
         let grow = "mount -o remount,size=4G /dev/shm, or lower depths (docs/memory.md)";
         if bytes > free {
-            return Ok(Finding::new(Verdict::Bad, value).fix(grow));
+            return Ok(Finding::bad(value).fix(grow));
         }
         if !unknown.is_empty() {
             value += &format!(
                 "; without these, whose type is not stated or not known here: {}",
                 unknown.join(", ")
             );
-            return Ok(Finding::new(Verdict::Unknown, value)
+            return Ok(Finding::unknown(value)
                 .fix("state `type` in [topics], and source the workspace that defines it"));
         }
         Ok(Finding::good(value))
