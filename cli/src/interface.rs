@@ -3,7 +3,7 @@
 
 use crate::completions;
 use crate::msg::{Finder, parts};
-use crate::table::write_names;
+use crate::table::{write_names, write_wanted};
 use crate::verb::{CommonArgs, Failure, Outcome};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, Subcommand};
@@ -107,13 +107,8 @@ pub fn run(args: &InterfaceArgs) -> Outcome {
         }
         Verb::Package { package } => {
             let types = finder(args)?.list()?;
-            let names: Vec<&str> =
-                types.iter().filter(|name| name.package() == package).map(TypeName::as_str).collect();
-            if names.is_empty() {
-                let packages: BTreeSet<&str> = types.iter().map(TypeName::package).collect();
-                return Err(Failure::unknown("package", package, packages.into_iter(), "interface packages"));
-            }
-            Ok(write_names(common.json, &names, &mut out)?)
+            let all: Vec<_> = types.iter().map(|name| (name.package(), name.as_str())).collect();
+            write_wanted(common.json, package, &all, ("package", "interface packages"))
         }
         Verb::Packages { only } => {
             let types = finder(args)?.list()?;

@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use std::io::{self, Write};
 
 use crate::print::Colour;
+use crate::verb::{Failure, Outcome};
 use comfy_table::{CellAlignment, LineStyle, Table, TableStyle};
 use tautline::Policy;
 use tautline_transport::Origin;
@@ -70,6 +71,23 @@ pub fn write_names(is_json: bool, names: &[&str], out: &mut impl Write) -> io::R
         return writeln!(out, "{}", serde_json::json!(names));
     }
     names.iter().try_for_each(|name| writeln!(out, "{name}"))
+}
+
+/// Writes the names of a kind of things that are `wanted`, as [`write_names`] does. `all` has pairs of a kind and a name.
+///
+/// # Errors
+/// There is none: the error says so of `what`, and suggests the nearest of the kinds, which `taut LIST` prints.
+pub fn write_wanted(
+    is_json: bool,
+    wanted: &str,
+    all: &[(&str, &str)],
+    (what, list): (&str, &str),
+) -> Outcome {
+    let names: Vec<&str> = all.iter().filter(|(kind, _)| *kind == wanted).map(|(_, name)| *name).collect();
+    if names.is_empty() {
+        return Err(Failure::unknown(what, wanted, all.iter().map(|(kind, _)| *kind), list));
+    }
+    Ok(write_names(is_json, &names, &mut crate::print::stdout())?)
 }
 
 /// The places of several endpoints, this host first.

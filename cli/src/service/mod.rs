@@ -7,7 +7,8 @@ mod named;
 use crate::arguments::full_name;
 use crate::arguments::full_type;
 use crate::completions;
-use crate::verb::{Failure, Outcome, Verbs};
+use crate::table::{write_table, write_wanted};
+use crate::verb::{Outcome, Verbs};
 use clap::Subcommand;
 pub use named::{Named, named, type_to_call};
 use serde_json::Value;
@@ -60,32 +61,16 @@ pub fn run(args: &Verbs<Verb>) -> Outcome {
         }
         Verb::List => {
             let head = ["service", "type", "where", "servers", "clients"];
-            crate::table::write_table(&head, 3, services.iter().map(Named::row).collect(), &mut out)?;
+            write_table(&head, 3, services.iter().map(Named::row).collect(), &mut out)?;
         }
         Verb::Type { service } => {
-            let name = full_name(service);
-            let found: Vec<&str> = services
-                .iter()
-                .filter(|service| service.name == name)
-                .map(|service| service.type_name)
-                .collect();
-            if found.is_empty() {
-                return Err(unknown(&services, &name));
-            }
-            crate::table::write_names(common.json, &found, &mut out)?;
+            let all: Vec<_> = services.iter().map(|service| (service.name, service.type_name)).collect();
+            write_wanted(common.json, &full_name(service), &all, ("service", "service list"))?;
         }
         Verb::Find { type_name } => {
+            let all: Vec<_> = services.iter().map(|service| (service.type_name, service.name)).collect();
             let wanted = full_type(type_name, "srv");
-            let found: Vec<&str> = services
-                .iter()
-                .filter(|service| service.type_name == wanted)
-                .map(|service| service.name)
-                .collect();
-            if found.is_empty() {
-                let types = services.iter().map(|service| service.type_name);
-                return Err(Failure::unknown("service of type", &wanted, types, "service list"));
-            }
-            crate::table::write_names(common.json, &found, &mut out)?;
+            write_wanted(common.json, &wanted, &all, ("service of type", "service list"))?;
         }
         Verb::Call(_) => {}
     }
@@ -94,8 +79,4 @@ pub fn run(args: &Verbs<Verb>) -> Outcome {
 
 fn services(graph: &GraphSnapshot) -> Vec<Named<'_>> {
     named(graph, |end| Some((&end.name, &end.type_name)))
-}
-
-fn unknown(services: &[Named], name: &str) -> Failure {
-    Failure::unknown("service", name, services.iter().map(|service| service.name), "service list")
 }

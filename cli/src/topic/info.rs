@@ -11,8 +11,8 @@ use tautline_transport::{
 
 /// A topic of one type, and its endpoints.
 pub struct Topic<'g> {
-    name: &'g str,
-    type_name: &'g str,
+    pub name: &'g str,
+    pub type_name: &'g str,
     ends: Vec<&'g TopicEndpoint>,
 }
 
@@ -35,14 +35,6 @@ pub fn list(topics: &[Topic<'_>], json: bool, out: &mut impl Write) -> io::Resul
 }
 
 impl<'g> Topic<'g> {
-    pub fn name(&self) -> &str {
-        self.name
-    }
-
-    pub fn type_name(&self) -> &str {
-        self.type_name
-    }
-
     fn of(&self, kind: EndpointKind) -> impl Iterator<Item = &'g TopicEndpoint> {
         self.ends.iter().copied().filter(move |end| end.kind == kind)
     }

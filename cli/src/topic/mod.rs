@@ -13,7 +13,7 @@ pub mod tap;
 use crate::arguments::full_name;
 use crate::arguments::full_type;
 use crate::completions;
-use crate::table::write_names;
+use crate::table::write_wanted;
 use crate::verb::{CommonArgs, Outcome, Verbs};
 use clap::Subcommand;
 use rates::Unit;
@@ -89,8 +89,18 @@ pub fn run(args: &Verbs<Verb>) -> Outcome {
             Ok(info::list(&info::topics(&graph), common.json, &mut crate::print::stdout())?)
         }
         Verb::Info { topic, verbose } => print_info(common, topic, *verbose),
-        Verb::Type { topic } => print_type(common, topic),
-        Verb::Find { type_name } => find(common, type_name),
+        Verb::Type { topic } => {
+            let graph = graph_of(common.domain()?)?;
+            let topics: Vec<_> =
+                info::topics(&graph).iter().map(|topic| (topic.name, topic.type_name)).collect();
+            write_wanted(common.json, &full_name(topic), &topics, ("topic", "topic list"))
+        }
+        Verb::Find { type_name } => {
+            let graph = graph_of(common.domain()?)?;
+            let types: Vec<_> =
+                info::topics(&graph).iter().map(|topic| (topic.type_name, topic.name)).collect();
+            write_wanted(common.json, &full_type(type_name, "msg"), &types, ("topic of type", "topic list"))
+        }
         Verb::Echo(args) => echo::run(args, common),
         Verb::Hz(args) => rates::run(args, Unit::Messages, common),
         Verb::Bw(args) => rates::run(args, Unit::Bytes, common),
@@ -103,7 +113,7 @@ fn print_info(common: &CommonArgs, topic: &str, verbose: bool) -> Outcome {
     let name = full_name(topic);
     let graph = graph_of(common.domain()?)?;
     let mut topics = info::topics(&graph);
-    topics.retain(|topic| topic.name() == name);
+    topics.retain(|topic| topic.name == name);
     if topics.is_empty() {
         return Err(tap::unknown(&graph, &name));
     }
@@ -114,29 +124,4 @@ fn print_info(common: &CommonArgs, topic: &str, verbose: bool) -> Outcome {
     }
     // Hosts may disagree on a topic's type: then there are several.
     Ok(topics.iter().try_for_each(|topic| topic.print(verbose, &mut out))?)
-}
-
-fn print_type(common: &CommonArgs, topic: &str) -> Outcome {
-    let name = full_name(topic);
-    let graph = graph_of(common.domain()?)?;
-    let topics = info::topics(&graph);
-    let types: Vec<&str> =
-        topics.iter().filter(|topic| topic.name() == name).map(|topic| topic.type_name()).collect();
-    if types.is_empty() {
-        return Err(tap::unknown(&graph, &name));
-    }
-    Ok(write_names(common.json, &types, &mut crate::print::stdout())?)
-}
-
-fn find(common: &CommonArgs, type_name: &str) -> Outcome {
-    let whole = full_type(type_name, "msg");
-    let graph = graph_of(common.domain()?)?;
-    let topics = info::topics(&graph);
-    let names: Vec<&str> =
-        topics.iter().filter(|topic| topic.type_name() == whole).map(|topic| topic.name()).collect();
-    if names.is_empty() {
-        let types = topics.iter().map(|topic| topic.type_name());
-        return Err(crate::verb::Failure::unknown("topic of type", &whole, types, "topic list"));
-    }
-    Ok(write_names(common.json, &names, &mut crate::print::stdout())?)
 }
