@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The picture of a demo run: for each topic a histogram of its response times, with prediction and deadline.
-use plotters::style::text_anchor::{HPos, VPos};
+use plotters::style::text_anchor::HPos;
 use plotters::style::{FontTransform, RGBColor, WHITE};
 
 use super::report::{DemoReport, TopicReport};
@@ -10,7 +10,7 @@ mod bins;
 pub mod canvas;
 
 use bins::Bins;
-use canvas::{Canvas, text};
+use canvas::{Canvas, bold, text};
 
 const WIDTH: i32 = 960;
 const LEFT: i32 = 76;
@@ -53,19 +53,19 @@ pub fn render_svg(report: &DemoReport) -> Outcome<String> {
         draw_topic(&canvas, topic, TOP + PANEL * panel)?;
     }
     let middle = TOP + PANEL * panels / 2;
-    let upright = text(12, FAINT, HPos::Center, VPos::Center).transform(FontTransform::Rotate270);
+    let upright = text(12, FAINT, HPos::Center).transform(FontTransform::Rotate270);
     canvas.text("messages (logarithmic)", (22, middle), upright)?;
     let caption = "response time in ms, from scheduled release to end of callback";
-    canvas.text(caption, ((LEFT + RIGHT) / 2, height - 20), text(12, FAINT, HPos::Center, VPos::Center))?;
+    canvas.text(caption, ((LEFT + RIGHT) / 2, height - 20), text(12, FAINT, HPos::Center))?;
     canvas.finish()?;
     Ok(svg)
 }
 
 fn draw_title(canvas: &Canvas, report: &DemoReport) -> Outcome {
     let title = "Response times: predicted and measured";
-    canvas.text(title, (LEFT, 28), text(20, INK, HPos::Left, VPos::Center).bold())?;
+    canvas.text(title, (LEFT, 28), bold(text(20, INK, HPos::Left)))?;
     let kernel = format!("Linux {} ({})", shorten(&report.kernel, 26), shorten(&report.preemption, 16));
-    canvas.text(&kernel, (RIGHT, 28), text(12, FAINT, HPos::Right, VPos::Center))?;
+    canvas.text(&kernel, (RIGHT, 28), text(12, FAINT, HPos::Right))?;
     let circumstances = format!(
         "{} · {:.0} s on core {} · {:.1} µs of middleware per message · steal {} ticks",
         if report.realtime { "real-time" } else { "not real-time: no bound applies" },
@@ -75,10 +75,10 @@ fn draw_title(canvas: &Canvas, report: &DemoReport) -> Outcome {
         report.steal_ticks
     );
     let colour = if report.realtime { FAINT } else { DEADLINE };
-    canvas.text(&circumstances, (LEFT, 52), text(12, colour, HPos::Left, VPos::Center))?;
+    canvas.text(&circumstances, (LEFT, 52), text(12, colour, HPos::Left))?;
 
     let y = 76;
-    let label = |x, words| canvas.text(words, (x, y), text(12, INK, HPos::Left, VPos::Center));
+    let label = |x, words| canvas.text(words, (x, y), text(12, INK, HPos::Left));
     canvas.rectangle((LEFT, y - 6), (LEFT + 12, y + 6), ON_TIME)?;
     label(LEFT + 18, "on time")?;
     canvas.rectangle((LEFT + 90, y - 6), (LEFT + 102, y + 6), LATE)?;
@@ -110,7 +110,7 @@ fn draw_topic(canvas: &Canvas, topic: &TopicReport, top: i32) -> Outcome {
         let y = y(10_u64.pow(decade));
         canvas.line((LEFT, y), (RIGHT, y), GRID, 1)?;
         let number = 10_u64.pow(decade).to_string();
-        canvas.text(&number, (LEFT - 8, y), text(11, FAINT, HPos::Right, VPos::Center))?;
+        canvas.text(&number, (LEFT - 8, y), text(11, FAINT, HPos::Right))?;
     }
     let step = round_step(bins.end_ms() / 8.0);
     for tick in 0..=(bins.end_ms() / step) as u32 {
@@ -118,7 +118,7 @@ fn draw_topic(canvas: &Canvas, topic: &TopicReport, top: i32) -> Outcome {
         let x = x(time);
         canvas.line((x, bottom), (x, bottom + 4), FAINT, 1)?;
         let number = format!("{}", (time * 1e6).round() / 1e6);
-        canvas.text(&number, (x, bottom + 13), text(11, FAINT, HPos::Center, VPos::Center))?;
+        canvas.text(&number, (x, bottom + 13), text(11, FAINT, HPos::Center))?;
     }
 
     let longest = x(topic.max_ms.unwrap_or(0.0).min(bins.end_ms()));
@@ -139,7 +139,7 @@ fn draw_topic(canvas: &Canvas, topic: &TopicReport, top: i32) -> Outcome {
         None => {
             let middle = ((LEFT + RIGHT) / 2, (top + bottom) / 2);
             canvas.rectangle((middle.0 - 90, middle.1 - 12), (middle.0 + 90, middle.1 + 12), WHITE)?;
-            canvas.text("no message received", middle, text(13, FAINT, HPos::Center, VPos::Center))
+            canvas.text("no message received", middle, text(13, FAINT, HPos::Center))
         }
     }
 }
@@ -147,8 +147,7 @@ fn draw_topic(canvas: &Canvas, topic: &TopicReport, top: i32) -> Outcome {
 /// The two texts above the plot: the topic, and its result.
 fn draw_heading(canvas: &Canvas, topic: &TopicReport, off_scale: u64, y: i32) -> Outcome {
     let name = shorten(&topic.topic, 20);
-    let bold = text(13, INK, HPos::Left, VPos::Center).bold();
-    canvas.text(&name, (LEFT, y), bold)?;
+    canvas.text(&name, (LEFT, y), bold(text(13, INK, HPos::Left)))?;
     let mut found = format!("n {}", topic.n);
     if let (Some(p99), Some(max)) = (topic.p99_ms, topic.max_ms) {
         found += &format!(" · p99 {p99:.2} · max {max:.2}");
@@ -164,7 +163,7 @@ fn draw_heading(canvas: &Canvas, topic: &TopicReport, off_scale: u64, y: i32) ->
     }
     let failed = topic.deadline_misses > 0 || topic.lost > 0 || topic.n == 0;
     let colour = if failed { DEADLINE } else { INK };
-    canvas.text(&found, (RIGHT, y), text(12, colour, HPos::Right, VPos::Center))?;
+    canvas.text(&found, (RIGHT, y), text(12, colour, HPos::Right))?;
 
     let what =
         format!("every {} ms, {} ms of work, priority {}", topic.period_ms, topic.wcet_ms, topic.priority);
@@ -174,7 +173,7 @@ fn draw_heading(canvas: &Canvas, topic: &TopicReport, off_scale: u64, y: i32) ->
     if from + width(&what, 6.5) + width(&found, 6.5) > RIGHT {
         return Ok(());
     }
-    canvas.text(&what, (from, y), text(12, FAINT, HPos::Left, VPos::Center))
+    canvas.text(&what, (from, y), text(12, FAINT, HPos::Left))
 }
 
 /// The largest of 1, 2, 5, 10, ... (or their decimal parts) that does not exceed the wish by half.

@@ -42,36 +42,20 @@ impl<'a> Canvas<'a> {
         self.0.draw(&Polygon::new([(x - 5, y), (x + 5, y), (x, y + 8)], PERCENTILE)).map_err(drawing)
     }
 
-    pub fn text(&self, text: &str, at: (i32, i32), words: Words) -> Outcome {
-        // The SVG backend divides sizes by 1.24.
-        let style = if words.bold { FontStyle::Bold } else { FontStyle::Normal };
-        let font = FontDesc::new(FontFamily::SansSerif, f64::from(words.pixels) * 1.24, style);
-        let style = TextStyle::from(font.transform(words.transform)).color(&words.colour).pos(words.pos);
+    pub fn text(&self, text: &str, at: (i32, i32), style: TextStyle<'_>) -> Outcome {
         self.0.draw(&Text::new(text, at, style)).map_err(drawing)
     }
 }
 
-/// A text style; `pixels` is the size a browser shows.
-pub fn text(pixels: u32, colour: RGBColor, h: HPos, v: VPos) -> Words {
-    Words { pixels, colour, pos: Pos::new(h, v), bold: false, transform: FontTransform::None }
+/// A text style, centred vertically; `pixels` is the size a browser shows.
+pub fn text(pixels: u32, colour: RGBColor, h: HPos) -> TextStyle<'static> {
+    // The SVG backend divides sizes by 1.24.
+    let font = FontDesc::new(FontFamily::SansSerif, f64::from(pixels) * 1.24, FontStyle::Normal);
+    TextStyle { font, color: colour.to_backend_color(), pos: Pos::new(h, VPos::Center) }
 }
 
-pub struct Words {
-    pixels: u32,
-    colour: RGBColor,
-    pos: Pos,
-    bold: bool,
-    transform: FontTransform,
-}
-
-impl Words {
-    pub fn bold(self) -> Self {
-        Self { bold: true, ..self }
-    }
-
-    pub fn transform(self, transform: FontTransform) -> Self {
-        Self { transform, ..self }
-    }
+pub fn bold(style: TextStyle<'_>) -> TextStyle<'_> {
+    TextStyle { font: style.font.style(FontStyle::Bold), ..style }
 }
 
 fn drawing(error: impl std::fmt::Display) -> Failure {

@@ -2,10 +2,10 @@
 //! The picture: lines over time, with axes, a legend and the bag's name.
 
 use super::columns::{Columns, Point};
-use plotters::style::text_anchor::{HPos, VPos};
+use plotters::style::text_anchor::HPos;
 use plotters::style::{RGBColor, WHITE};
 use taut_cli::date::date;
-use taut_cli::demo::plot::canvas::{Canvas, text};
+use taut_cli::demo::plot::canvas::{Canvas, bold, text};
 use taut_cli::demo::plot::{FAINT, GRID, INK, round_step, shorten};
 use taut_cli::verb::Outcome;
 
@@ -105,7 +105,7 @@ impl Picture<'_> {
         for ((x, row, name), colour) in legend.into_iter().zip(COLOURS) {
             let y = TITLE + LEGEND * row + 8;
             canvas.rectangle((x, y - 2), (x + 18, y + 2), colour)?;
-            canvas.text(&name, (x + 24, y), text(12, INK, HPos::Left, VPos::Center))?;
+            canvas.text(&name, (x + 24, y), text(12, INK, HPos::Left))?;
         }
         ticks.draw(&canvas, &frame)?;
         self.draw_times(&canvas, &frame)?;
@@ -136,8 +136,8 @@ impl Picture<'_> {
         let when = format!("{} UTC · {} s", date(self.start_ns.cast_signed()), plain(seconds, 3));
         let letters = f64::from(right - MARGIN) - when.chars().count() as f64 * LETTER - 20.0;
         let name = shorten(&printable(&self.name), ((letters / 10.5) as usize).max(8));
-        canvas.text(&name, (MARGIN, 24), text(16, INK, HPos::Left, VPos::Center).bold())?;
-        canvas.text(&when, (right, 24), text(12, FAINT, HPos::Right, VPos::Center))
+        canvas.text(&name, (MARGIN, 24), bold(text(16, INK, HPos::Left)))?;
+        canvas.text(&when, (right, 24), text(12, FAINT, HPos::Right))
     }
 
     /// The x position, the row and the label of each entry.
@@ -181,12 +181,12 @@ impl Picture<'_> {
             let x = frame.x(self.start_ns.saturating_add((time * unit_ns).round() as u64));
             canvas.line((x, frame.top), (x, frame.bottom), GRID, 1)?;
             canvas.line((x, frame.bottom), (x, frame.bottom + 4), FAINT, 1)?;
-            let style = text(11, FAINT, HPos::Center, VPos::Center);
+            let style = text(11, FAINT, HPos::Center);
             canvas.text(&plain(time, digits), (x, frame.bottom + 14), style)?;
         }
         let caption = format!("time since the bag's first message, in {unit}");
         let middle = i32::midpoint(frame.left, frame.right);
-        canvas.text(&caption, (middle, frame.bottom + 33), text(12, FAINT, HPos::Center, VPos::Center))
+        canvas.text(&caption, (middle, frame.bottom + 33), text(12, FAINT, HPos::Center))
     }
 }
 
@@ -228,11 +228,11 @@ impl Ticks {
             let y = frame.y(*value);
             canvas.line((frame.left, y), (frame.right, y), GRID, 1)?;
             canvas.line((frame.left - 4, y), (frame.left, y), FAINT, 1)?;
-            canvas.text(label, (frame.left - 8, y), text(11, FAINT, HPos::Right, VPos::Center))?;
+            canvas.text(label, (frame.left - 8, y), text(11, FAINT, HPos::Right))?;
         }
         let Some(base) = &self.base else { return Ok(()) };
         let words = format!("numbers are added to {base}");
-        canvas.text(&words, (frame.left + 6, frame.top - 8), text(11, FAINT, HPos::Left, VPos::Center))
+        canvas.text(&words, (frame.left + 6, frame.top - 8), text(11, FAINT, HPos::Left))
     }
 }
 
