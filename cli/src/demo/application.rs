@@ -37,27 +37,18 @@ pub struct Stamped {
     pub release_ns: u64,
 }
 
-pub struct Topic {
-    pub name: String,
-    pub period: Duration,
-    pub wcet: Duration,
-    pub priority: u8,
-}
-
 fn system() -> Outcome<SystemFile> {
     let source = "examples/systems/paper.toml, from which this program was built";
     SystemFile::parse(SYSTEM).map_err(|problems| Failure::unusable(format!("{source}: {problems}")))
 }
 
-/// The topics, fastest first.
-pub fn topics() -> Outcome<Vec<Topic>> {
-    let topic = |callback: CheckedCallback| Topic {
-        name: callback.entry.name,
-        period: Duration::from_nanos(callback.period_ns),
-        wcet: Duration::from_nanos(callback.wcet_ns),
-        priority: callback.entry.priority,
+/// The callbacks of the topics, whose names they have, fastest first.
+pub fn tasks() -> Outcome<Vec<Task>> {
+    let task = |callback: CheckedCallback| {
+        let [period, wcet] = [callback.period_ns, callback.wcet_ns].map(Duration::from_nanos);
+        Task::new(callback.entry.name, period, wcet, callback.entry.priority)
     };
-    Ok(system()?.check().callbacks.into_iter().map(topic).collect())
+    Ok(system()?.check().callbacks.into_iter().map(task).collect())
 }
 
 /// Priority of the subscriber's sampler.
@@ -65,13 +56,6 @@ pub fn sampler_priority(args: &DemoArgs) -> Outcome<u8> {
     match args.sampler_priority {
         Some(priority) => Ok(priority),
         None => Ok(system()?.cores().first().map_or(99, |core| core.sampler_priority)),
-    }
-}
-
-impl Topic {
-    /// The callback as a task of the analysis.
-    pub fn task(&self) -> Task {
-        Task::new(self.name.as_str(), self.period, self.wcet, self.priority)
     }
 }
 

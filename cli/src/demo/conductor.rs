@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The process that the user started: starts the two others, shows the progress, prints the report.
 
-use super::application::{self, Topic};
+use super::application;
 use super::losses::losses;
 use super::output::Files;
 use super::process::{GLANCE, Process};
@@ -16,6 +16,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 use tautline::{CoreSet, Policy};
+use tautline_analysis::Task;
 use tautline_analysis::taken::{Seen, TakenTimes};
 use tautline_rt::{Interruptions, ThreadBuilder, current_affinity, host, permission};
 
@@ -107,10 +108,8 @@ fn conduct(
     started: Instant,
 ) -> Outcome<Published> {
     let bar = ProgressBar::new(args.seconds * 10);
-    bar.set_style(
-        ProgressStyle::with_template("{elapsed:>4} [{bar:40}] {msg}")
-            .unwrap_or_else(|_| ProgressStyle::default_bar()),
-    );
+    let style = ProgressStyle::with_template("{elapsed:>4} [{bar:40}] {msg}");
+    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
     let mut handled = 0;
     loop {
         if interrupted.load(Ordering::Relaxed) {
@@ -156,7 +155,7 @@ struct Run {
 }
 
 fn assemble(args: &DemoArgs, run: &Run, published: &Published, measured: Measured) -> Outcome<DemoReport> {
-    let topics = application::topics()?;
+    let tasks = application::tasks()?;
     let handled: u64 = measured.topics.iter().map(|topic| topic.jobs.len() as u64).sum();
     // The processor time of both processes without the callbacks' own work, divided by the number of messages.
     // A run that was interrupted before its first message has no overhead.
@@ -167,26 +166,24 @@ fn assemble(args: &DemoArgs, run: &Run, published: &Published, measured: Measure
     };
     let moments_overwritten = published.seen.overwritten + measured.seen.overwritten;
     let sampler_priority = application::sampler_priority(args)?;
-    let sampler_first = topics.iter().all(|topic| topic.priority < sampler_priority);
+    let sampler_first = tasks.iter().all(|task| task.priority < sampler_priority);
     let losses = losses(&published.seen, &measured, sampler_first);
     // The last topic has the lowest priority, so its list contains everything.
     let all = losses.last().cloned().unwrap_or_default();
     let taken = all.seen(&[Seen::Running, Seen::WokenLate]);
-    let lost_ns = |way| all.seen(&[way]).total_ns();
-    let (taken_running_ns, taken_late_ns) = (lost_ns(Seen::Running), lost_ns(Seen::WokenLate));
-    let (longest_taken_ns, others_ns) = (taken.longest_ns(), lost_ns(Seen::Waited));
-    let longest_use_ns = all.seen(&[Seen::Overran]).longest_ns();
+    let lost_ms = |way| all.seen(&[way]).total_ns() as f64 / 1e6;
+    let longest_taken_ms = taken.longest_ns() as f64 / 1e6;
     let (per_message, interruptions) = (Duration::from_nanos(overhead_ns), run.interruptions);
     let costs = Costs { per_message, interruptions, taken };
-    let pair = |((topic, measured), lost): ((Topic, protocol::TopicMeasured), TakenTimes)| TopicRun {
-        lost_time: lost,
-        task: topic.task(),
+    let pair = |((task, measured), lost_time): ((Task, protocol::TopicMeasured), TakenTimes)| TopicRun {
+        lost_time,
+        task,
         releases_ns: measured.jobs.iter().map(|job| job.release_ns).collect(),
         latencies_ns: measured.jobs.iter().map(Job::latency_ns).collect(),
         lost: measured.lost,
         max_queue: measured.max_queue,
     };
-    let runs = topics.into_iter().zip(measured.topics).zip(losses).map(pair).collect();
+    let runs = tasks.into_iter().zip(measured.topics).zip(losses).map(pair).collect();
     let info = host::HostInfo::read();
     let mode = info.preempt_mode.as_deref().map_or(String::new(), |mode| format!(" ({mode})"));
     let Interruptions { total_ns, window_ns, regular_ns, longest_ns, .. } = run.interruptions;
@@ -203,11 +200,11 @@ fn assemble(args: &DemoArgs, run: &Run, published: &Published, measured: Measure
         interruption_us: regular_ns as f64 / 1e3,
         interrupted_percent: 100.0 * total_ns as f64 / window_ns.max(1) as f64,
         longest_interruption_us: longest_ns as f64 / 1e3,
-        taken_running_ms: taken_running_ns as f64 / 1e6,
-        taken_late_ms: taken_late_ns as f64 / 1e6,
-        longest_taken_ms: longest_taken_ns as f64 / 1e6,
-        others_ms: others_ns as f64 / 1e6,
-        longest_use_us: longest_use_ns as f64 / 1e3,
+        taken_running_ms: lost_ms(Seen::Running),
+        taken_late_ms: lost_ms(Seen::WokenLate),
+        longest_taken_ms,
+        others_ms: lost_ms(Seen::Waited),
+        longest_use_us: all.seen(&[Seen::Overran]).longest_ns() as f64 / 1e3,
         moments_overwritten,
     })
 }

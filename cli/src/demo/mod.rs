@@ -68,6 +68,8 @@ enum Role {
     Subscriber,
 }
 
+tautline_rt::names!(Role: const fn name(self) -> &'static str { Publisher: "publisher", Subscriber: "subscriber" });
+
 /// A core that cannot be used.
 fn unusable_core(core: usize) -> impl FnOnce(RtError) -> Failure {
     move |error| Failure::unusable(format!("core {core} cannot be used: {error}; choose one with --core"))

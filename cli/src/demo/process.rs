@@ -4,7 +4,6 @@
 use super::protocol::{self, Line, Measured};
 use super::{DemoArgs, Role};
 use crate::verb::{Failure, Outcome};
-use clap::ValueEnum;
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
@@ -25,15 +24,13 @@ pub struct Process {
 
 impl Process {
     pub fn start(role: Role, args: &DemoArgs) -> Outcome<Self> {
-        let name = match role {
-            Role::Publisher => "publisher",
-            Role::Subscriber => "subscriber",
-        };
-        let failed = |what: String| failed(name, &what);
+        let role = role.name();
+        let failed = |what: String| failed(role, &what);
         let executable =
             std::env::current_exe().map_err(|error| failed(format!("has no executable: {error}")))?;
         let mut command = Command::new(executable);
-        command.arg("demo").args(["--seconds", &args.seconds.to_string(), "--namespace", &args.namespace]);
+        command.args(["demo", "--role", role]);
+        command.args(["--seconds", &args.seconds.to_string(), "--namespace", &args.namespace]);
         if let Some(priority) = args.sampler_priority {
             command.args(["--sampler-priority", &priority.to_string()]);
         }
@@ -43,16 +40,13 @@ impl Process {
         if args.no_rt {
             command.arg("--no-rt");
         }
-        if let Some(value) = role.to_possible_value() {
-            command.args(["--role", value.get_name()]);
-        }
         let mut child = with_former_open_files(&mut command)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
             .map_err(|error| failed(format!("cannot be started: {error}")))?;
         let output = child.stdout.take().ok_or_else(|| failed("has no output".into()))?;
-        Ok(Process { role: name, child, lines: protocol::listen(output) })
+        Ok(Process { role, child, lines: protocol::listen(output) })
     }
 
     pub fn wait_until_ready(&mut self) -> Outcome {

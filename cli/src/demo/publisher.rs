@@ -24,9 +24,9 @@ pub fn run(args: &DemoArgs) -> Outcome {
     let first_ns = clock::monotonic_ns() + LEAD.as_nanos() as u64;
     let end_ns = first_ns + Duration::from_secs(args.seconds).as_nanos() as u64;
     let mut tasks = Vec::new();
-    for topic in application::topics()? {
-        let publisher = node.create_publisher::<Stamped>(&topic.name, application::qos())?;
-        let timer = node.create_wall_timer_at(first_ns, topic.period)?;
+    for task in application::tasks()? {
+        let publisher = node.create_publisher::<Stamped>(&task.name, application::qos())?;
+        let timer = node.create_wall_timer_at(first_ns, Duration::from_nanos(task.period_ns))?;
         tasks.push((publisher, timer));
     }
     let counts = Arc::new(Counts::default());

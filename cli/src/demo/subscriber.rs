@@ -2,7 +2,7 @@
 //! The subscriber process: the sampler on the main thread, one callback thread per topic.
 
 use super::DemoArgs;
-use super::application::{self, MomentCollector, Stamped, Topic};
+use super::application::{self, MomentCollector, Stamped};
 use super::protocol::{self, Job, Line, Measured, TopicMeasured};
 use crate::verb::Outcome;
 use futures::StreamExt;
@@ -10,6 +10,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::time::Duration;
 use tautline::{CallbackOptions, Node, SubscriptionCounters};
+use tautline_analysis::Task;
 use tautline_rt::{CoreMark, CoreTime, clock};
 
 pub fn run(args: &DemoArgs) -> Outcome {
@@ -18,14 +19,13 @@ pub fn run(args: &DemoArgs) -> Outcome {
     let context = application::context(args, application::sampler_priority(args)?).build()?;
     let mut node = Node::create(context.clone(), "subscriber", &args.namespace)?;
     let mut callbacks = Vec::new();
-    for topic in application::topics()? {
-        let subscription = node.subscribe::<Stamped>(&topic.name, application::qos())?;
-        let log = Arc::new(Log::for_run(&topic, args.seconds));
-        let (counters, wcet) = (subscription.counters(), topic.wcet);
-        let options = CallbackOptions::fifo(topic.priority)
-            .name(topic.name.as_str())
-            .period(topic.period)
-            .budget(topic.wcet);
+    for task in application::tasks()? {
+        let subscription = node.subscribe::<Stamped>(&task.name, application::qos())?;
+        let log = Arc::new(Log::for_run(&task, args.seconds));
+        let [period, wcet] = [task.period_ns, task.wcet_ns].map(Duration::from_nanos);
+        let counters = subscription.counters();
+        let options =
+            CallbackOptions::fifo(task.priority).name(task.name.as_str()).period(period).budget(wcet);
         let handle = {
             let log = log.clone();
             node.spawn_local(options, move || {
@@ -42,7 +42,7 @@ pub fn run(args: &DemoArgs) -> Outcome {
                 })
             })?
         };
-        callbacks.push(Callback { topic, log, counters, handle });
+        callbacks.push(Callback { task, log, counters, handle });
     }
     {
         let context = context.clone();
@@ -67,7 +67,7 @@ pub fn run(args: &DemoArgs) -> Outcome {
 }
 
 struct Callback {
-    topic: Topic,
+    task: Task,
     log: Arc<Log>,
     counters: Arc<SubscriptionCounters>,
     handle: tautline::CallbackHandle,
@@ -79,7 +79,7 @@ fn measured(callbacks: Vec<Callback>, collector: MomentCollector, cpu_ns: u64) -
         callback.handle.stop();
         callback.handle.join().map_err(tautline::Error::from)?;
         let jobs: Vec<_> = callback.log.jobs().collect();
-        busy_ns += jobs.len() as u64 * callback.topic.wcet.as_nanos() as u64;
+        busy_ns += jobs.len() as u64 * callback.task.wcet_ns;
         let (lost, max_queue) = (callback.counters.lost(), callback.counters.max_queue());
         topics.push(TopicMeasured { jobs, lost, max_queue });
     }
@@ -97,8 +97,8 @@ struct Log {
 
 impl Log {
     /// Room for the run's messages and a quarter more.
-    fn for_run(topic: &Topic, seconds: u64) -> Self {
-        let messages = Duration::from_secs(seconds).as_nanos() / topic.period.as_nanos();
+    fn for_run(task: &Task, seconds: u64) -> Self {
+        let messages = Duration::from_secs(seconds).as_nanos() / u128::from(task.period_ns);
         let room = (messages + messages / 4 + 16) as usize;
         Log { entries: (0..room).map(|_| Default::default()).collect(), count: AtomicUsize::new(0) }
     }
