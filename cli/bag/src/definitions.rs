@@ -2,7 +2,15 @@
 //! Definitions in the form of bags: all types are `package/Name`, also the parts of services and actions, which ROS 2 calls
 //! `package/srv/Name_Request`. Readers of bags accept no other form.
 
+use tautline_bag::Topic;
 use tautline_schema::{Kind, Schema, SchemaError, TypeName};
+use tautline_transport::TopicType;
+
+/// The type of a topic, as its bag states it.
+pub fn recorded_type(topic: &Topic) -> TopicType {
+    let bare = TopicType::new(topic.type_name.clone());
+    if topic.type_hash.is_empty() { bare } else { bare.with_hash(topic.type_hash.clone()) }
+}
 
 /// The definition of a topic's type, for a bag.
 pub fn for_bag(schema: &Schema) -> String {

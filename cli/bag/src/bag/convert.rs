@@ -2,6 +2,7 @@
 //! `taut bag convert`: converts bags between the storages and compressions of rosbag2.
 
 use super::{NewArgs, Progress, Sum, whole};
+use crate::definitions::recorded_type;
 use clap::{Args, ValueEnum};
 use serde_json::json;
 use std::io::Write;
@@ -12,7 +13,6 @@ use tautline_bag::{BagError, Definition, Hooks, Storage, Topic, convert};
 use tautline_definitions::{find_schema, type_of};
 use tautline_msgs::split_header;
 use tautline_schema::{DynamicMessage, Endian, Schema, TypeName};
-use tautline_transport::TopicType;
 
 /// Writes bags of rosbag2 into a new one: SQLite to MCAP or back, decompressed, compressed
 ///
@@ -99,8 +99,7 @@ pub fn write(
 /// The definition of a topic's type on this host, if a message of the bag does not contradict it.
 fn defined(topic: &Topic, cdr: Option<&[u8]>) -> Option<Arc<Schema>> {
     let name: TypeName = topic.type_name.parse().ok()?;
-    let bare = TopicType::new(topic.type_name.clone());
-    let recorded = if topic.type_hash.is_empty() { bare } else { bare.with_hash(topic.type_hash.clone()) };
+    let recorded = recorded_type(topic);
     let schema = find_schema(&topic.name, &name, Some(&recorded)).ok()?;
     if !type_of(&schema).agrees_with(&recorded) {
         return None;

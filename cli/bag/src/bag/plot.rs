@@ -6,6 +6,7 @@ mod field;
 mod picture;
 
 use super::{Progress, whole};
+use crate::definitions::{from_bag, recorded_type};
 use clap::Args;
 use columns::Columns;
 use field::Wanted;
@@ -20,7 +21,6 @@ use tautline_bag::{CDR, Ordered, Topic, is_compressed};
 use tautline_definitions::find_schema;
 use tautline_rt::clock::nanoseconds;
 use tautline_schema::{DynamicMessage, Primitive, Schema, TypeName, Value};
-use tautline_transport::TopicType;
 
 /// Draws fields of messages over time, as SVG
 ///
@@ -262,11 +262,9 @@ fn schema_of(topic: &Topic) -> Outcome<Arc<Schema>> {
     }
     let name: TypeName = topic.type_name.parse().map_err(|error| unusable(&error))?;
     if let Some(text) = &topic.ros2msg() {
-        return crate::definitions::from_bag(&name, text).map(Arc::new).map_err(|error| unusable(&error));
+        return from_bag(&name, text).map(Arc::new).map_err(|error| unusable(&error));
     }
-    let bare = TopicType::new(topic.type_name.clone());
-    let recorded = if topic.type_hash.is_empty() { bare } else { bare.with_hash(topic.type_hash.clone()) };
-    find_schema(&topic.name, &name, Some(&recorded)).map_err(|error| unusable(&error))
+    find_schema(&topic.name, &name, Some(&recorded_type(topic))).map_err(|error| unusable(&error))
 }
 
 fn number(value: &Value) -> Option<f64> {

@@ -9,7 +9,7 @@ mod player;
 mod stand_in;
 mod statement;
 
-use crate::definitions;
+use crate::definitions::{from_bag, recorded_type};
 use crate::offered_qos;
 use crate::record::size;
 use clap::Args;
@@ -281,20 +281,17 @@ impl PlayArgs {
             Some(stand_in) => stand_in.topics().collect(),
         };
         let there = || bag.topics().iter().map(|topic| &*topic.name);
-        if let Some(unknown) = names.iter().find(|name| !there().any(|there| there == *name)) {
-            let list = format!("bag info {}", self.bag.display());
-            return Err(Failure::unknown("topic", unknown, there(), &list));
-        }
-        if let Some((unknown, _)) = self.remap.iter().find(|(from, _)| !there().any(|there| there == from)) {
+        let mut asked = names.iter().chain(self.remap.iter().map(|(from, _)| from));
+        if let Some(unknown) = asked.find(|name| !there().any(|there| there == *name)) {
             let list = format!("bag info {}", self.bag.display());
             return Err(Failure::unknown("topic", unknown, there(), &list));
         }
         let is_wanted = |name: &str| {
             let is_chosen = match &self.regex {
-                Some(regex) => regex.is_match(name) || names.iter().any(|wanted| wanted == name),
-                None => names.is_empty() || names.iter().any(|wanted| wanted == name),
+                Some(regex) => regex.is_match(name),
+                None => names.is_empty(),
             };
-            is_chosen
+            (is_chosen || names.iter().any(|wanted| wanted == name))
                 && !self.exclude.as_ref().is_some_and(|regex| regex.is_match(name))
                 && !(self.clock.is_some() && name == "/clock")
         };
@@ -430,19 +427,11 @@ impl PlayArgs {
 
 /// The definition of a topic's type, and the type as it is published.
 fn described(topic: &Topic, name: &TypeName) -> (Option<Arc<Schema>>, TopicType) {
-    let bare = TopicType::new(topic.type_name.clone());
-    let recorded =
-        if topic.type_hash.is_empty() { bare.clone() } else { bare.with_hash(topic.type_hash.clone()) };
-    let schema = match topic.ros2msg() {
-        Some(text) => match definitions::from_bag(name, &text) {
-            Ok(schema) => Some(Arc::new(schema)),
-            Err(error) => {
-                eprintln!("taut: warning: {}: its recorded definition cannot be used: {error}", topic.name);
-                None
-            }
-        },
-        None => None,
+    let recorded = recorded_type(topic);
+    let warn = |error: &SchemaError| {
+        eprintln!("taut: warning: {}: its recorded definition cannot be used: {error}", topic.name);
     };
+    let schema = topic.ros2msg().and_then(|text| from_bag(name, &text).inspect_err(warn).ok()).map(Arc::new);
     let schema = schema.or_else(|| find_schema(&topic.name, name, Some(&recorded)).ok());
     let agreed =
         schema.map(|schema| (type_of(&schema), schema)).filter(|(known, _)| known.agrees_with(&recorded));
