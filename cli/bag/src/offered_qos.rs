@@ -37,8 +37,9 @@ pub fn write(qos: &Qos) -> String {
 pub fn read(text: &str) -> Result<Qos, String> {
     let words = tautline_bag::in_words(text)?;
     let offers: Vec<Offer> = serde_saphyr::from_str(&words).map_err(|error| error.to_string())?;
+    let earliest = |one: Option<Duration>, other| one.into_iter().chain(other).min();
     let strongest = |one: Qos, other: Qos| Qos {
-        history: if one.history == History::KeepAll { one.history } else { other.history },
+        history: stronger(History::KeepAll, one.history, other.history),
         depth: match (one.durability, other.durability) {
             (Durability::TransientLocal, Durability::TransientLocal) => one.depth + other.depth,
             (Durability::TransientLocal, _) => one.depth,
@@ -46,27 +47,20 @@ pub fn read(text: &str) -> Result<Qos, String> {
             _ => one.depth.max(other.depth),
         }
         .min(Limits::MAX_DEPTH),
-        reliability: if one.reliability == Reliability::Reliable {
-            one.reliability
-        } else {
-            other.reliability
-        },
-        durability: if one.durability == Durability::TransientLocal {
-            one.durability
-        } else {
-            other.durability
-        },
-        deadline: one.deadline.into_iter().chain(other.deadline).min(),
+        reliability: stronger(Reliability::Reliable, one.reliability, other.reliability),
+        durability: stronger(Durability::TransientLocal, one.durability, other.durability),
+        deadline: earliest(one.deadline, other.deadline),
         lifespan: one.lifespan.zip(other.lifespan).map(|(one, other)| one.max(other)),
-        liveliness: if one.liveliness == Liveliness::Automatic { other.liveliness } else { one.liveliness },
-        liveliness_lease_duration: one
-            .liveliness_lease_duration
-            .into_iter()
-            .chain(other.liveliness_lease_duration)
-            .min(),
+        liveliness: stronger(Liveliness::ManualByTopic, one.liveliness, other.liveliness),
+        liveliness_lease_duration: earliest(one.liveliness_lease_duration, other.liveliness_lease_duration),
     };
     let each = offers.iter().map(Offer::qos);
     each.reduce(|one, other| Ok(strongest(one?, other?))).unwrap_or_else(|| Ok(Qos::default()))
+}
+
+/// The strong one of two values of a policy if it is among them.
+fn stronger<T: PartialEq>(strong: T, one: T, other: T) -> T {
+    if one == strong { one } else { other }
 }
 
 #[derive(Deserialize)]

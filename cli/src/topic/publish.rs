@@ -57,32 +57,16 @@ pub struct PubArgs {
     /// Depth of the publisher's history
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u16).range(1..))]
     qos_depth: u16,
-    #[arg(long, value_enum, default_value_t)]
-    qos_reliability: Reliability,
-    #[arg(long, value_enum, default_value_t)]
-    qos_durability: Durability,
+    #[arg(long, value_parser = ["reliable", "best_effort"], default_value = "reliable")]
+    qos_reliability: String,
+    #[arg(long, value_parser = ["volatile", "transient_local"], default_value = "volatile")]
+    qos_durability: String,
 }
 
 #[derive(ValueEnum, Clone, Copy, Debug)]
 enum Stamp {
     /// The time of its publication
     Now,
-}
-
-#[derive(ValueEnum, Clone, Copy, Debug, Default)]
-#[value(rename_all = "snake_case")]
-enum Reliability {
-    #[default]
-    Reliable,
-    BestEffort,
-}
-
-#[derive(ValueEnum, Clone, Copy, Debug, Default)]
-#[value(rename_all = "snake_case")]
-enum Durability {
-    #[default]
-    Volatile,
-    TransientLocal,
 }
 
 fn rate(text: &str) -> Result<f64, String> {
@@ -93,14 +77,8 @@ fn rate(text: &str) -> Result<f64, String> {
 impl PubArgs {
     fn qos(&self) -> Qos {
         let qos = Qos::keep_last(self.qos_depth.into());
-        let qos = match self.qos_reliability {
-            Reliability::Reliable => qos,
-            Reliability::BestEffort => qos.best_effort(),
-        };
-        match self.qos_durability {
-            Durability::Volatile => qos,
-            Durability::TransientLocal => qos.transient_local(),
-        }
+        let qos = if self.qos_reliability == "best_effort" { qos.best_effort() } else { qos };
+        if self.qos_durability == "transient_local" { qos.transient_local() } else { qos }
     }
 
     /// The type and the values.
