@@ -4,6 +4,7 @@
 use crate::arguments::full_name;
 use crate::call::{action_of, node_named};
 use crate::completions;
+use crate::table::{place, whereabouts, write_table};
 use crate::verb::{Outcome, Verbs};
 use clap::Subcommand;
 use serde_json::{Value, json};
@@ -56,14 +57,10 @@ pub fn run(args: &Verbs<Verb>) -> Outcome {
 
 fn list(nodes: &[Arc<NodeInfo>], out: &mut impl Write) -> io::Result<()> {
     let row = |node: &Arc<NodeInfo>| {
-        let process = node.pid.map_or_else(|| on(node), |pid| pid.to_string());
+        let process = node.pid.map_or_else(|| whereabouts(node), |pid| pid.to_string());
         (true, vec![node.name.full_name(), process])
     };
-    crate::table::write_table(&["node", "process"], 2, nodes.iter().map(row).collect(), out)
-}
-
-fn on(node: &NodeInfo) -> String {
-    format!("on {}", crate::table::place(&node.origin).unwrap_or("this host"))
+    write_table(&["node", "process"], 2, nodes.iter().map(row).collect(), out)
 }
 
 fn facts(node: &NodeInfo) -> Value {
@@ -73,7 +70,7 @@ fn facts(node: &NodeInfo) -> Value {
         "enclave": node.enclave,
         "pid": node.pid,
         "remote": node.is_remote,
-        "place": crate::table::place(&node.origin),
+        "place": place(&node.origin),
     })
 }
 
@@ -118,7 +115,7 @@ impl Parts {
     }
 
     fn print(&self, node: &NodeInfo, out: &mut impl Write) -> io::Result<()> {
-        let place = node.pid.map_or_else(|| on(node), |pid| format!("process {pid}"));
+        let place = whereabouts(node);
         let enclave = if node.enclave == "/" { String::new() } else { format!(", enclave {}", node.enclave) };
         writeln!(out, "{} ({place}{enclave})", node.name)?;
         for (part, entries) in &self.0 {

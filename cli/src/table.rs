@@ -8,7 +8,7 @@ use crate::print::Colour;
 use crate::verb::{Failure, Outcome};
 use comfy_table::{CellAlignment, LineStyle, Table, TableStyle};
 use tautline::Policy;
-use tautline_transport::Origin;
+use tautline_transport::{NodeInfo, Origin};
 
 pub const GOOD: Colour = Colour::Green;
 pub const BAD: Colour = Colour::Red;
@@ -103,6 +103,14 @@ pub fn place(origin: &Origin) -> Option<&str> {
         _ if origin.is_here() => None,
         "" => Some("elsewhere"),
         place => Some(place),
+    }
+}
+
+/// The process of a node, or its place on another host.
+pub fn whereabouts(node: &NodeInfo) -> String {
+    match node.pid {
+        Some(pid) => format!("process {pid}"),
+        None => format!("on {}", place(&node.origin).unwrap_or("this host")),
     }
 }
 

@@ -4,16 +4,18 @@
 use super::finding::{Checked, Finding};
 use super::host::Tree;
 use crate::compatibility;
+use crate::table::whereabouts;
 use indicatif::BinaryBytes;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use tautline::TransportError;
 use tautline_rt::domain::{all_shared_folders, shared_folder};
 use tautline_rt::shm::{self, PeerFile};
 use tautline_trace::is_trace_file;
-use tautline_transport::{GraphSnapshot, Visitor, is_dead_domain, remove_dead_domain};
+use tautline_transport::{GraphSnapshot, NodeInfo, Visitor, is_dead_domain, remove_dead_domain};
 
 /// The memory of a minimal process: its context, the domain's file and the trace file (docs/memory.md).
 const LEAST_BYTES: u64 = 6 << 20;
@@ -40,7 +42,7 @@ pub fn findings(tree: &Tree, domain: u32) -> Vec<Finding> {
     findings
 }
 
-fn read_graph(domain: u32) -> Result<(std::sync::Arc<GraphSnapshot>, Vec<TransportError>), TransportError> {
+fn read_graph(domain: u32) -> Result<(Arc<GraphSnapshot>, Vec<TransportError>), TransportError> {
     let mut visitor = Visitor::new(domain)?;
     let graph = visitor.graph()?;
     Ok((graph, visitor.left_out()))
@@ -63,12 +65,8 @@ fn versions(left_out: &[TransportError]) -> Vec<Finding> {
 
 fn names(graph: &GraphSnapshot) -> Vec<Finding> {
     let twice = graph.nodes.chunk_by(|one, other| one.name == other.name).filter(|same| same.len() > 1);
-    let bad = |same: &[std::sync::Arc<tautline_transport::NodeInfo>]| {
-        let places = same.iter().map(|node| match node.pid {
-            Some(pid) => format!("process {pid}"),
-            None => format!("on {}", crate::table::place(&node.origin).unwrap_or("this host")),
-        });
-        let places = places.collect::<Vec<_>>().join(", ");
+    let bad = |same: &[Arc<NodeInfo>]| {
+        let places = same.iter().map(|node| whereabouts(node)).collect::<Vec<_>>().join(", ");
         Finding::bad(format!("{} nodes are called {}: {places}", same.len(), same[0].name))
             .fix("rename one: --ros-args -r __node:=NAME; which of them answers requests for its parameters is chance")
     };

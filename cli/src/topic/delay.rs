@@ -4,6 +4,7 @@
 use super::sim_clock::SimClock;
 use super::tap::{POLL, ends, wait_for_type};
 use crate::arguments::full_name;
+use crate::compatibility::label;
 use crate::completions;
 use crate::table::write_table;
 use crate::times::Times;
@@ -50,6 +51,7 @@ pub struct DelayArgs {
 }
 
 /// The delays of one publisher's messages.
+#[derive(Default)]
 struct Ages {
     label: String,
     /// Times from the stamp, of messages that have one, to the publication.
@@ -139,10 +141,9 @@ pub fn run(args: &DelayArgs, common: &CommonArgs) -> Outcome {
             let (now_ns, info) = (monotonic_ns(), sample.info());
             let ages = all.entry(info.publisher_gid).or_insert_with(|| {
                 let graph = participant.graph().unwrap_or_default();
-                let end = ends(&graph, &topic).find(|end| end.gid == info.publisher_gid).cloned();
-                let node = end.and_then(|end| end.node.as_ref().map(|node| node.full_name()));
-                let label = node.unwrap_or_else(|| format!("{:?}", info.publisher_gid));
-                Ages { label, published: Times::default(), taken: Times::default(), ahead: 0 }
+                let end = ends(&graph, &topic).find(|end| end.gid == info.publisher_gid);
+                let label = end.map_or_else(|| format!("{:?}", info.publisher_gid), |end| label(end));
+                Ages { label, ..Ages::default() }
             });
             ages.taken.record(now_ns.saturating_sub(info.released_ns));
             let published_ns = match args.sim_time {

@@ -5,6 +5,7 @@ use super::filter::Filter;
 use super::tap::{POLL, Tap, wait_for_type};
 use crate::arguments::full_name;
 use crate::completions;
+use crate::trace::csv::quoted;
 use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::Args;
 use std::io::Write;
@@ -176,10 +177,7 @@ fn collect(value: &Value, cells: &mut Vec<String>) {
             (0..list.len()).filter_map(|n| list.get(n)).for_each(|item| collect(&item, cells))
         }
         Value::Struct(fields) => fields.iter().for_each(|field| collect(field, cells)),
-        Value::String(text) if text.contains([',', '"', '\n', '\r']) => {
-            cells.push(format!("\"{}\"", text.replace('"', "\"\"")));
-        }
-        Value::String(text) => cells.push(text.clone()),
+        Value::String(text) => cells.push(quoted(text)),
         Value::Bool(value) => cells.push(value.to_string()),
         Value::F32(value) => cells.push(value.to_string()),
         Value::F64(value) => cells.push(value.to_string()),

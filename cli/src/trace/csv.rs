@@ -73,7 +73,8 @@ fn process(recording: &Recording, process: u32) -> (u32, String) {
     recording.processes.get(&process).map_or((0, String::new()), |of| (of.pid, quoted(&of.name)))
 }
 
-fn quoted(text: &str) -> String {
+/// A cell of CSV, in quotes if it needs them.
+pub fn quoted(text: &str) -> String {
     if text.contains([',', '"', '\n', '\r']) {
         format!("\"{}\"", text.replace('"', "\"\""))
     } else {

@@ -2,7 +2,7 @@
 //! `taut trace`: records the trace events of running processes, and shows them.
 
 mod chrome;
-mod csv;
+pub mod csv;
 pub mod file;
 mod hops;
 mod latency;

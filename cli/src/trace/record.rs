@@ -139,8 +139,8 @@ fn print(args: &RecordArgs, common: &CommonArgs, domain: u32, sum: &Sum, time: D
     };
 }
 
-/// Prints the progress, only on a terminal and not with --json.
-fn progress(json: bool) -> ProgressBar {
+/// Shows progress, only on a terminal and not with --json.
+pub fn progress(json: bool) -> ProgressBar {
     if json {
         return ProgressBar::hidden();
     }

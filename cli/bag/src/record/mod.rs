@@ -19,7 +19,7 @@ use bag_writer::BagWriter;
 use black_box::{Alarms, Dumper, Kind};
 use choice::Choice;
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use observers::Observers;
 use reader::{Pace, Reader};
 use statement::Statement;
@@ -352,13 +352,10 @@ fn watch(
 
 /// A progress bar, which is hidden without a terminal and with JSON.
 pub fn progress(json: bool) -> ProgressBar {
-    if json {
-        return ProgressBar::hidden();
+    let progress = taut_cli::trace::record::progress(json);
+    if !json {
+        progress.enable_steady_tick(SAY);
     }
-    let style = ProgressStyle::with_template("{spinner} {elapsed} {msg}");
-    let progress =
-        ProgressBar::new_spinner().with_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
-    progress.enable_steady_tick(SAY);
     progress
 }
 
