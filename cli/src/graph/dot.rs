@@ -7,13 +7,7 @@ use std::fmt::{self, Write};
 const RED: &str = "#c01c28";
 
 /// A whole `digraph`.
-pub fn write(picture: &Picture) -> String {
-    let mut dot = String::new();
-    write_graph(picture, &mut dot).expect("a string takes everything");
-    dot
-}
-
-fn write_graph(picture: &Picture, dot: &mut String) -> fmt::Result {
+pub fn write(picture: &Picture, dot: &mut String) -> fmt::Result {
     writeln!(dot, "digraph taut {{")?;
     writeln!(dot, "  graph [rankdir=LR, fontname=\"sans-serif\", labelloc=t, labeljust=l];")?;
     writeln!(dot, "  node [fontname=\"sans-serif\", fontsize=11, style=filled];")?;

@@ -5,13 +5,7 @@ use super::picture::{Edge, Picture, TopicKind, clean};
 use std::fmt::{self, Write};
 
 /// A whole flowchart.
-pub fn write(picture: &Picture) -> String {
-    let mut chart = String::new();
-    write_chart(picture, &mut chart).expect("a string takes everything");
-    chart
-}
-
-fn write_chart(picture: &Picture, chart: &mut String) -> fmt::Result {
+pub fn write(picture: &Picture, chart: &mut String) -> fmt::Result {
     writeln!(chart, "flowchart LR")?;
     let caption = picture.caption();
     writeln!(chart, "  caption[\"{}\"]:::caption", join(caption.into_iter().map(|(_, line)| line)))?;

@@ -20,6 +20,7 @@ use clap::{Args, ValueEnum};
 use gather::Wanted;
 use picture::Picture;
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write as _;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -94,13 +95,16 @@ impl Format {
     }
 
     fn write(self, picture: &Picture) -> String {
-        match self {
-            Format::Text => text::write(picture),
-            Format::Svg => svg::write(picture),
-            Format::Dot => dot::write(picture),
-            Format::Mermaid => mermaid::write(picture),
-            Format::Json => format!("{}\n", picture.to_json()),
-        }
+        let mut text = String::new();
+        let written = match self {
+            Format::Text => text::write(picture, &mut text),
+            Format::Svg => svg::write(picture, &mut text),
+            Format::Dot => dot::write(picture, &mut text),
+            Format::Mermaid => mermaid::write(picture, &mut text),
+            Format::Json => writeln!(text, "{}", picture.to_json()),
+        };
+        written.expect("a string takes everything");
+        text
     }
 }
 

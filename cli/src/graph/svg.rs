@@ -22,13 +22,6 @@ const STYLE: &str = "text{font-family:system-ui,'DejaVu Sans',sans-serif;font-si
 @media(prefers-color-scheme:dark){text{fill:#e4e7eb}.f{fill:#a9b1bc}.r{fill:#ff7b72}.p{fill:#14181d}.n{fill:#1f3550;stroke:#6ea3e0}\
 .o{fill:#35301c;stroke:#c0a850}.s{fill:#2c2440;stroke:#a48cd8}.l{stroke:#a9b1bc}.l.b{stroke:#ff7b72}.h{fill:#a9b1bc}.h.b{fill:#ff7b72}}";
 
-/// The whole document.
-pub fn write(picture: &Picture) -> String {
-    let mut svg = String::new();
-    draw(picture, &mut svg).expect("a string takes everything");
-    svg
-}
-
 /// The text of a box or of a line.
 struct Label {
     name: Option<String>,
@@ -44,7 +37,8 @@ impl Label {
     }
 }
 
-fn draw(picture: &Picture, svg: &mut String) -> fmt::Result {
+/// The whole document.
+pub fn write(picture: &Picture, svg: &mut String) -> fmt::Result {
     let boxes = labels(picture);
     let texts: Vec<Label> =
         picture.edges.iter().map(|edge| Label { name: None, lines: short(edge.lines()) }).collect();

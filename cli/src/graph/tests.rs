@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! One made-up domain in all formats; names that mean something in a format; pictures of any graph.
 
+use super::Format;
 use super::layout::{Link, Size, lay_out};
 use super::picture::{Bound, Chain, Edge, EdgeKind, Mismatch, Node, Picture, Rate, Topic, TopicKind};
-use super::{Format, dot, mermaid, svg, text};
 use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::path::Path;
@@ -120,7 +120,7 @@ fn names_that_mean_something_in_a_format_are_escaped() {
     picture.edges[5].problem = Some(hostile.into());
     picture.mismatches[0].topic = hostile.into();
 
-    let all = [svg::write(&picture), dot::write(&picture), mermaid::write(&picture)];
+    let all = [Format::Svg.write(&picture), Format::Dot.write(&picture), Format::Mermaid.write(&picture)];
     for written in &all {
         assert!(!written.contains(['\u{1b}', '\u{202e}']), "{written}");
         assert!(written.contains("é漢"));
@@ -130,10 +130,10 @@ fn names_that_mean_something_in_a_format_are_escaped() {
     assert!(dot.contains("/a\\\"b\\\\N<script>&amp;amp;]-->"), "{dot}");
     assert!(mermaid.contains("/a#34;b#92;N#60;script#62;#38;amp#59;]--#62;"), "{mermaid}");
     // One line each, whatever is in them.
-    assert_eq!(dot.lines().count(), dot::write(&made_up()).lines().count());
-    assert_eq!(mermaid.lines().count(), mermaid::write(&made_up()).lines().count());
-    let text = text::write(&picture);
-    assert_eq!(text.lines().count(), text::write(&made_up()).lines().count());
+    assert_eq!(dot.lines().count(), Format::Dot.write(&made_up()).lines().count());
+    assert_eq!(mermaid.lines().count(), Format::Mermaid.write(&made_up()).lines().count());
+    let text = Format::Text.write(&picture);
+    assert_eq!(text.lines().count(), Format::Text.write(&made_up()).lines().count());
     assert!(!crate::print::painted(&text, false).contains("[31m\n"), "{text}");
 }
 
@@ -178,11 +178,13 @@ fn any_graph_is_drawn() {
     sizes.extend((0..60).map(|_| (dice.below(20), dice.below(30))));
     for (nodes, topics) in sizes {
         let picture = dice.picture(nodes, topics);
-        let once = svg::write(&picture);
-        assert_eq!(once, svg::write(&picture), "the same each time");
+        let once = Format::Svg.write(&picture);
+        assert_eq!(once, Format::Svg.write(&picture), "the same each time");
         assert!(!once.contains("NaN") && !once.contains("inf"));
         assert_eq!(once.matches("marker-end").count(), picture.edges.len());
-        for written in [text::write(&picture), dot::write(&picture), mermaid::write(&picture)] {
+        for written in
+            [Format::Text.write(&picture), Format::Dot.write(&picture), Format::Mermaid.write(&picture)]
+        {
             assert!(!written.is_empty());
         }
     }

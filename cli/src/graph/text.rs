@@ -3,48 +3,41 @@
 
 use super::picture::{Edge, Picture, Topic, TopicKind, clean};
 use crate::table::BAD;
+use std::fmt::{self, Write};
 
 /// Writes with colours, which the stream removes if it is not a terminal.
-pub fn write(picture: &Picture) -> String {
-    let mut text = String::new();
+pub fn write(picture: &Picture, text: &mut String) -> fmt::Result {
     for (index, topic) in picture.topics.iter().enumerate() {
-        write_topic(picture, index, topic, &mut text);
+        write_topic(picture, index, topic, text)?;
     }
     let has_ends = |index: usize| picture.edges.iter().any(|edge| edge.node == index);
-    let alone = picture.nodes.iter().enumerate().filter(|(index, _)| !has_ends(*index));
-    let alone: Vec<String> = alone.map(|(index, _)| label(picture, index)).collect();
+    let alone = (0..picture.nodes.len()).filter(|index| !has_ends(*index));
+    let alone: Vec<String> = alone.map(|index| label(picture, index)).collect();
     if !alone.is_empty() {
-        line(true, &format!("without any of these: {}", alone.join(", ")), &mut text);
-        text.push('\n');
+        line(true, &format!("without any of these: {}", alone.join(", ")), text)?;
+        writeln!(text)?;
     }
-    for (is_good, said) in picture.caption() {
-        line(is_good, &said, &mut text);
-    }
-    text
+    picture.caption().into_iter().try_for_each(|(is_good, said)| line(is_good, &said, text))
 }
 
-fn write_topic(picture: &Picture, index: usize, topic: &Topic, text: &mut String) {
+fn write_topic(picture: &Picture, index: usize, topic: &Topic, text: &mut String) -> fmt::Result {
     let rate = topic.rate.text().map_or_else(String::new, |rate| format!("  {rate}"));
     let kind = match topic.kind {
         TopicKind::Topic => String::new(),
         kind => format!("{} ", kind.word()),
     };
     let types = topic.types.join(" and ");
-    line(topic.types.len() < 2, &format!("{kind}{}  {types}{rate}", topic.name), text);
-    for edge in picture.edges.iter().filter(|edge| edge.topic == index) {
-        write_edge(picture, edge, text);
-    }
-    text.push('\n');
+    line(topic.types.len() < 2, &format!("{kind}{}  {types}{rate}", topic.name), text)?;
+    let mut edges = picture.edges.iter().filter(|edge| edge.topic == index);
+    edges.try_for_each(|edge| write_edge(picture, edge, text))?;
+    writeln!(text)
 }
 
-fn write_edge(picture: &Picture, edge: &Edge, text: &mut String) {
+fn write_edge(picture: &Picture, edge: &Edge, text: &mut String) -> fmt::Result {
     let qos = if edge.qos.is_empty() { String::new() } else { format!("  {}", edge.qos) };
     let more = edge.lines().iter().map(|line| format!("  {line}")).collect::<String>();
-    line(
-        !edge.is_bad(),
-        &format!("  {:<12}  {}{qos}{more}", edge.kind.word(), label(picture, edge.node)),
-        text,
-    );
+    let (word, node) = (edge.kind.word(), label(picture, edge.node));
+    line(!edge.is_bad(), &format!("  {word:<12}  {node}{qos}{more}"), text)
 }
 
 fn label(picture: &Picture, index: usize) -> String {
@@ -55,11 +48,10 @@ fn label(picture: &Picture, index: usize) -> String {
     }
 }
 
-fn line(is_good: bool, line: &str, text: &mut String) {
+fn line(is_good: bool, line: &str, text: &mut String) -> fmt::Result {
     let line = clean(line);
     match is_good {
-        true => text.push_str(&line),
-        false => text.push_str(&format!("{BAD}{line}{BAD:#}")),
+        true => writeln!(text, "{line}"),
+        false => writeln!(text, "{BAD}{line}{BAD:#}"),
     }
-    text.push('\n');
 }

@@ -61,7 +61,8 @@ impl Tap {
         let is_seen = is_elsewhere(&graph, topic, &topic_type);
         let subscription = match is_seen {
             true => subscribe(&participant, &graph, topic, &topic_type, depth(&graph, topic))?,
-            false => observe(&participant, &graph, topic, &topic_type)?,
+            // Observes the publishers on this host.
+            false => participant.create_observer(topic, &topic_type, depth(&graph, topic), limits())?,
         };
         let (topic, refreshed) = (topic.to_owned(), Instant::now());
         Ok(Tap { topic, participant, topic_type, subscription, is_seen, epoch, refreshed, lost: 0 })
@@ -132,16 +133,6 @@ fn is_elsewhere(graph: &GraphSnapshot, topic: &str, topic_type: &TopicType) -> b
     ends(graph, topic).any(|end| {
         end.is_remote && end.kind == EndpointKind::Publisher && end.topic_type.agrees_with(topic_type)
     })
-}
-
-/// Observes the publishers on this host.
-fn observe(
-    participant: &Participant,
-    graph: &GraphSnapshot,
-    topic: &str,
-    topic_type: &TopicType,
-) -> Outcome<RawSubscription> {
-    Ok(participant.create_observer(topic, topic_type, depth(graph, topic), limits())?)
 }
 
 /// Subscribes with the QoS that every publisher offers, so that all are compatible.

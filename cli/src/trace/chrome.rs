@@ -26,11 +26,13 @@ pub fn write(recording: &Recording, to: &mut dyn Write) -> io::Result<()> {
         event["ts"] = micros(time_ns.saturating_sub(zero_ns));
         event
     }));
-    write!(
-        to,
-        "{{\"displayTimeUnit\":\"ns\",\"otherData\":{},\"traceEvents\":[",
-        other_data(recording, zero_ns)
-    )?;
+    let other_data = json!({
+        "session": recording.session,
+        "zero_monotonic_ns": zero_ns,
+        "events_lost": recording.events_lost(),
+        "warnings": recording.warnings,
+    });
+    write!(to, "{{\"displayTimeUnit\":\"ns\",\"otherData\":{other_data},\"traceEvents\":[")?;
     for (index, event) in events.iter().enumerate() {
         write!(to, "{}\n{event}", if index == 0 { "" } else { "," })?;
     }
@@ -40,15 +42,6 @@ pub fn write(recording: &Recording, to: &mut dyn Write) -> io::Result<()> {
 /// Microseconds with three decimals, as in the format.
 fn micros(ns: u64) -> Value {
     json!(ns as f64 / 1000.0)
-}
-
-fn other_data(recording: &Recording, zero_ns: u64) -> Value {
-    json!({
-        "session": recording.session,
-        "zero_monotonic_ns": zero_ns,
-        "events_lost": recording.events_lost(),
-        "warnings": recording.warnings,
-    })
 }
 
 fn names(recording: &Recording, events: &mut Vec<Value>) {
