@@ -13,7 +13,6 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 
 /// Prints the latency of each hop of messages, also through gateways and bridges
 ///
@@ -61,7 +60,7 @@ struct Hops<'r> {
     unmatched: BTreeMap<(&'r str, HopKind, Place), u64>,
 }
 
-pub fn run(args: &HopsArgs, json: bool) -> Result<ExitCode, TraceError> {
+pub fn run(args: &HopsArgs, json: bool) -> Result<(), TraceError> {
     let recordings = args.files.iter().map(|path| file::read(path)).collect::<Result<Vec<_>, _>>()?;
     let hops = hops(&recordings);
     write_to(Path::new("-"), |to| {
@@ -74,7 +73,7 @@ pub fn run(args: &HopsArgs, json: bool) -> Result<ExitCode, TraceError> {
     if !json {
         warnings(&args.files, &recordings).for_each(|warning| eprintln!("taut: warning: {warning}"));
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(())
 }
 
 fn warnings(files: &[PathBuf], recordings: &[Recording]) -> impl Iterator<Item = String> {

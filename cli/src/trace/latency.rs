@@ -11,7 +11,6 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 use tautline_trace::{ObjectId, ObjectKind};
 
 /// Prints the latencies of a recording: from publication to callback start and end, and how long callbacks took
@@ -44,7 +43,7 @@ struct Row {
     messages_lost: Option<u64>,
 }
 
-pub fn run(args: &LatencyArgs, json: bool) -> Result<ExitCode, TraceError> {
+pub fn run(args: &LatencyArgs, json: bool) -> Result<(), TraceError> {
     let recording = file::read(&args.file)?;
     let rows = rows(&recording);
     write_to(Path::new("-"), |to| {
@@ -53,7 +52,7 @@ pub fn run(args: &LatencyArgs, json: bool) -> Result<ExitCode, TraceError> {
     if !json {
         recording.warnings.iter().for_each(|warning| eprintln!("taut: warning: {warning}"));
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(())
 }
 
 pub fn histogram() -> Histogram<u64> {

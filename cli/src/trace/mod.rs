@@ -16,7 +16,6 @@ use crate::verb::{CommonArgs, Verbs};
 use clap::{Args, Subcommand};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 
 /// Records publications, takes, callbacks and the sampler of running processes; exports them; computes latencies.
 ///
@@ -88,7 +87,7 @@ pub enum TraceError {
     Priority(tautline_rt::RtError),
 }
 
-pub fn run(args: Verbs<Verb>) -> Result<ExitCode, TraceError> {
+pub fn run(args: &Verbs<Verb>) -> Result<(), TraceError> {
     let common = &args.common;
     if !matches!(args.verb, Verb::Record(_)) {
         common.bound();
@@ -102,7 +101,7 @@ pub fn run(args: Verbs<Verb>) -> Result<ExitCode, TraceError> {
     }
 }
 
-fn export(args: &ExportArgs, common: &CommonArgs) -> Result<ExitCode, TraceError> {
+fn export(args: &ExportArgs, common: &CommonArgs) -> Result<(), TraceError> {
     let recording = file::read(&args.file)?;
     recording.warnings.iter().for_each(|warning| eprintln!("taut: warning: {warning}"));
     let out = args.out.clone().unwrap_or_else(|| {
@@ -114,17 +113,13 @@ fn export(args: &ExportArgs, common: &CommonArgs) -> Result<ExitCode, TraceError
         Format::Perfetto | Format::Chrome => chrome::write(&recording, to),
         Format::Csv => csv::write(&recording, to),
     })?;
-    if common.json && out != Path::new("-") {
-        // The reader may have closed the pipe.
-        let _ = writeln!(
-            crate::print::stdout(),
-            "{}",
-            serde_json::json!({ "file": out.display().to_string(), "events": recording.events.len() })
-        );
-    } else if out != Path::new("-") {
-        eprintln!("{}: {} events", out.display(), recording.events.len());
+    let (file, events) = (out.display().to_string(), recording.events.len());
+    match common.json {
+        _ if out == Path::new("-") => {}
+        true => println!("{}", serde_json::json!({ "file": file, "events": events })),
+        false => eprintln!("{file}: {events} events"),
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(())
 }
 
 /// Writes to standard output, or to a file that appears when it is complete.

@@ -9,9 +9,8 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 use std::time::{Duration, Instant};
 use tautline_rt::{self as rt, Policy};
 use tautline_trace::Record;
@@ -47,14 +46,14 @@ pub struct Sum {
     failed: Option<io::Error>,
 }
 
-pub fn run(args: &RecordArgs, common: &CommonArgs) -> Result<ExitCode, TraceError> {
+pub fn run(args: &RecordArgs, common: &CommonArgs) -> Result<(), TraceError> {
     let domain = common.domain().map_err(TraceError::Domain)?;
     let mut end = End::after(args.seconds.or(common.timeout())).map_err(TraceError::Signal)?;
     let until = if end.timeout().is_none() { ", until Ctrl-C" } else { "" };
     let begun = format!("recording domain {domain} into {}{until}", args.out.display());
     let (sum, time) = record(&args.out, domain, &mut end, common.json, &begun)?;
     print(args, common, domain, &sum, time);
-    Ok(ExitCode::SUCCESS)
+    Ok(())
 }
 
 /// Records a domain into a file, and prints `begun` when it begins. Returns what was recorded, and for how long.
@@ -125,18 +124,18 @@ fn note(writer: &mut Writer<BufWriter<File>>, sum: &mut Sum, record: &Record<'_>
 }
 
 fn print(args: &RecordArgs, common: &CommonArgs, domain: u32, sum: &Sum, time: Duration) {
+    let file = args.out.display();
     // The recording is complete; a closed terminal is no error.
-    let _ = if common.json {
+    if common.json {
         let report = json!({
             "file": args.out, "domain": domain, "seconds": time.as_secs_f64(),
             "processes": sum.processes, "events": sum.events, "events_lost": sum.lost,
         });
-        writeln!(crate::print::stdout(), "{report}")
+        println!("{report}");
     } else {
         let Sum { processes, events, lost, .. } = sum;
-        let file = args.out.display();
-        writeln!(crate::print::stdout(), "{file}: {events} events of {processes} processes, {lost} lost")
-    };
+        println!("{file}: {events} events of {processes} processes, {lost} lost");
+    }
 }
 
 /// Shows progress, only on a terminal and not with --json.
