@@ -316,25 +316,23 @@ impl Meter {
             let bytes = format!("{}/s", DecimalBytes(flow.bytes_per_second(now_ns) as u64));
             let mean = flow.mean_bytes().map_or("-".into(), |mean| DecimalBytes(mean).to_string());
             let n = flow.messages().to_string();
-            let mut cells = vec![flow.label.clone()];
-            match unit {
+            let lost = flow.lost.map_or("-".into(), |lost| lost.to_string());
+            let label = flow.label.clone();
+            let cells = match unit {
                 Unit::Messages => {
-                    cells.push(rate);
-                    cells
-                        .extend(flow.known_periods().map_or(["-", "-", "-"].map(String::from), Times::cells));
-                    cells.extend([bytes, n]);
+                    let [p50, p99, max] =
+                        flow.known_periods().map_or_else(|| ["-"; 3].map(String::from), Times::cells);
+                    vec![label, rate, p50, p99, max, bytes, n, lost]
                 }
                 Unit::Bytes => {
-                    let (least, most) = match flow.sizes.filter(|_| flow.unseen == 0) {
-                        Some((least, most)) => {
-                            (DecimalBytes(least).to_string(), DecimalBytes(most).to_string())
-                        }
-                        None => ("-".into(), "-".into()),
+                    let sizes = flow.sizes.filter(|_| flow.unseen == 0).map(<[u64; 2]>::from);
+                    let [least, most] = match sizes {
+                        Some(sizes) => sizes.map(|bytes| DecimalBytes(bytes).to_string()),
+                        None => ["-", "-"].map(String::from),
                     };
-                    cells.extend([bytes, mean, least, most, rate, n]);
+                    vec![label, bytes, mean, least, most, rate, n, lost]
                 }
-            }
-            cells.push(flow.lost.map_or("-".into(), |lost| lost.to_string()));
+            };
             (true, cells)
         };
         let head: &[&str] = match unit {

@@ -195,9 +195,9 @@ fn info(bag: &Path, is_json: bool) -> Outcome {
     }
     match damaged {
         None => Ok(()),
-        Some((path, Damage { offset, what })) => {
+        Some((path, damage)) => {
             let (advice, more) = (advice(bag, &path), more(damages));
-            Err(Failure::no(format!("{}: at byte {offset}: {what}{more}; {advice}", path.display())))
+            Err(Failure::no(format!("{}{more}; {advice}", placed(&path, &damage))))
         }
     }
 }
@@ -212,6 +212,11 @@ fn read(path: &Path, progress: &Progress, mut take: impl FnMut(Event<'_>)) -> Ou
         Ok::<_, Failure>(())
     })?;
     Ok(reader)
+}
+
+/// A damaged part and its place.
+pub fn placed(path: &Path, Damage { offset, what }: &Damage) -> String {
+    format!("{}: at byte {offset}: {what}", path.display())
 }
 
 /// The number of damaged parts besides the first, in words.
@@ -252,9 +257,8 @@ fn check(bag: &Path, is_json: bool) -> Outcome {
         report["has_metadata_yaml"] = json!(described.is_ok());
         writeln!(out, "{report}")
     } else {
-        let listed = damage.iter().try_for_each(|(path, Damage { offset, what })| {
-            writeln!(out, "{}: at byte {offset}: {what}", path.display())
-        });
+        let mut placed = damage.iter().map(|(path, damage)| placed(path, damage));
+        let listed = placed.try_for_each(|damage| writeln!(out, "{damage}"));
         listed.and_then(|()| sum.write(bag, &files, out))
     };
     let first = damage.first().map_or(bag, |(path, _)| path);
@@ -335,9 +339,8 @@ fn cut(args: &CutArgs, common: &CommonArgs) -> Outcome {
 
 /// Fails if there was damage; `damages` is the number of damaged parts.
 fn whole(damage: &[(PathBuf, Damage)], damages: u64) -> Outcome {
-    let Some((path, Damage { offset, what })) = damage.first() else { return Ok(()) };
-    let (path, more) = (path.display(), more(damages));
-    Err(Failure::no(format!("{path}: at byte {offset}: {what}{more}; what is whole was taken")))
+    let Some((path, damage)) = damage.first() else { return Ok(()) };
+    Err(Failure::no(format!("{}{}; what is whole was taken", placed(path, damage), more(damages))))
 }
 
 struct Sum {

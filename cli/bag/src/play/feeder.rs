@@ -2,6 +2,7 @@
 //! Reads the bag: checks its messages and puts them into the ring in order, as far ahead as there is room.
 
 use super::player::{BEGIN, Control, END};
+use crate::bag::placed;
 use crate::ring::{HEAD_BYTES, Head, LATCHED_BYTES};
 use rtrb::Producer;
 use std::borrow::Cow;
@@ -140,9 +141,7 @@ impl Feeder {
             }
         };
         self.control.is_filled.store(true, Ordering::Release);
-        let first = self.bag.damage().next();
-        self.fed.damage = first
-            .map(|(path, damage)| format!("{}: at byte {}: {}", path.display(), damage.offset, damage.what));
+        self.fed.damage = self.bag.damage().next().map(|(path, damage)| placed(path, &damage));
         self.fed.damaged = self.bag.damages();
         self.fed
     }

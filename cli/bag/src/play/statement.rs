@@ -116,43 +116,32 @@ impl Statement<'_> {
             .into_iter()
             .zip(self.roles)
             .find_map(|((_, why), role)| why.map(|why| format!("{}: {why}", role.topic.name)));
-        if let Some(first) = first {
-            return Err(Failure::no(format!(
-                "{unplayable} messages were not played, the first for: {first}"
-            )));
-        }
-        if self.fed.untold > 0 {
-            return Err(Failure::no(format!(
+        let late = Duration::from_nanos(self.played.late.max_ns());
+        let is_late = self.args.max_jitter.filter(|most| late > *most);
+        let fault = if let Some(first) = first {
+            format!("{unplayable} messages were not played, the first for: {first}")
+        } else if self.fed.untold > 0 {
+            format!(
                 "{} messages of topics that the damaged bag did not tell of before were not played; `taut bag recover` it",
                 self.fed.untold
-            )));
-        }
-        if self.fed.unkept > 0 {
-            return Err(Failure::no(format!(
+            )
+        } else if self.fed.unkept > 0 {
+            format!(
                 "{} messages that publishers had kept were not played: of more than {} MiB of one publisher the oldest are left out",
                 self.fed.unkept,
                 LATCHED_BYTES >> 20
-            )));
-        }
-        if let Some(refusal) = self.played.refusal {
-            let refused = self.played.refused;
-            return Err(Failure::no(format!(
-                "{refused} messages were not published, the first for: {refusal}"
-            )));
-        }
-        if let Some(first) = self.fed.damage {
-            return Err(Failure::no(format!("{} parts of the bag are damaged; {first}", self.fed.damaged)));
-        }
-        if let Some(first) = self.unplayable.first() {
-            let topics = self.unplayable.len();
-            return Err(Failure::no(format!("{topics} topics were not played; the first: {first}")));
-        }
-        let late = Duration::from_nanos(self.played.late.max_ns());
-        match self.args.max_jitter {
-            Some(most) if late > most => Err(Failure::no(format!(
-                "a message was {late:?} late, more than {most:?}; see `taut doctor`"
-            ))),
-            _ => Ok(()),
-        }
+            )
+        } else if let Some(refusal) = self.played.refusal {
+            format!("{} messages were not published, the first for: {refusal}", self.played.refused)
+        } else if let Some(first) = self.fed.damage {
+            format!("{} parts of the bag are damaged; {first}", self.fed.damaged)
+        } else if let Some(first) = self.unplayable.first() {
+            format!("{} topics were not played; the first: {first}", self.unplayable.len())
+        } else if let Some(most) = is_late {
+            format!("a message was {late:?} late, more than {most:?}; see `taut doctor`")
+        } else {
+            return Ok(());
+        };
+        Err(Failure::no(fault))
     }
 }
