@@ -103,14 +103,8 @@ impl Failure {
 
     /// The failure if no `what` is called `name`; suggests the nearest of the names `there`, which `taut LIST` prints.
     pub fn unknown<'n>(what: &str, name: &str, there: impl Iterator<Item = &'n str>, list: &str) -> Self {
-        let likeness = |other: &str| strsim::jaro_winkler(name, other);
-        let nearest =
-            there.map(|other| (likeness(other), other)).max_by(|one, other| one.0.total_cmp(&other.0));
-        let meant = match nearest {
-            Some((likeness, nearest)) if likeness > 0.8 => format!("; did you mean {nearest}?"),
-            _ => ";".into(),
-        };
-        Failure::no(format!("there is no {what} '{name}'{meant} `taut {list}` prints which there are"))
+        let meant = did_you_mean(name, there);
+        Failure::no(format!("there is no {what} '{name}';{meant} `taut {list}` prints which there are"))
     }
 
     /// Prints the reason and returns the exit code.
@@ -119,6 +113,15 @@ impl Failure {
             eprintln!("taut: {}", self.text);
         }
         ExitCode::from(self.code)
+    }
+}
+
+/// A question for the nearest name, with a space before it; empty if no name is similar.
+pub fn did_you_mean<'n>(name: &str, there: impl Iterator<Item = &'n str>) -> String {
+    let alike = there.map(|other| (strsim::jaro_winkler(name, other), other));
+    match alike.max_by(|one, other| one.0.total_cmp(&other.0)) {
+        Some((likeness, nearest)) if likeness > 0.8 => format!(" did you mean {nearest}?"),
+        _ => String::new(),
     }
 }
 

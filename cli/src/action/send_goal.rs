@@ -53,10 +53,16 @@ pub fn run(args: &SendGoalArgs, common: &CommonArgs) -> Outcome {
     let graph = graph_of(domain)?;
     let type_name = type_to_call("action", &action, &super::actions(&graph), type_name)?;
     let parts = Parts(&graph, &action, &type_name);
-    let goal = WrittenMessage::new(&parts.goal()?, values)?.message;
+    let goal = parts.of("Goal", "SendGoal", parts.service("send_goal"))?;
+    let goal = WrittenMessage::new(&goal, values)?.message;
     let mut caller = Caller::new(domain, end)?;
     let client = caller.node.create_action_client_untyped(&action, &type_name)?;
-    let shown = Shown { feedback: parts.feedback()?, result: parts.result()?, is_json: common.json };
+    let of_feedback = graph.topic_type(&format!("{action}/_action/feedback"));
+    let shown = Shown {
+        feedback: parts.of("Feedback", "FeedbackMessage", of_feedback)?,
+        result: parts.of("Result", "GetResult", parts.service("get_result"))?,
+        is_json: common.json,
+    };
     let (cancel, cancelled) = oneshot::channel();
     let pursuit = pursue(&client, goal.to_json_value(), args.feedback, cancelled, &shown);
     let status = wait(&mut caller.end, &action, pursuit, cancel)?;
@@ -182,19 +188,6 @@ fn yaml(schema: &Arc<Schema>, message: &Value) -> Outcome<String> {
 struct Parts<'a>(&'a GraphSnapshot, &'a str, &'a str);
 
 impl Parts<'_> {
-    fn goal(&self) -> Outcome<Arc<Schema>> {
-        self.of("Goal", "SendGoal", self.service("send_goal"))
-    }
-
-    fn result(&self) -> Outcome<Arc<Schema>> {
-        self.of("Result", "GetResult", self.service("get_result"))
-    }
-
-    fn feedback(&self) -> Outcome<Arc<Schema>> {
-        let Parts(graph, action, _) = self;
-        self.of("Feedback", "FeedbackMessage", graph.topic_type(&format!("{action}/_action/feedback")))
-    }
-
     fn service(&self, part: &str) -> Option<TopicType> {
         let Parts(graph, action, _) = self;
         let name = format!("{action}/_action/{part}");

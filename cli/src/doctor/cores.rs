@@ -73,11 +73,8 @@ pub fn interrupts(host: &Host) -> Checked {
     }
     let first = hits.iter().take(4).map(|(count, number, actions)| {
         let count = count.map_or("?".into(), |count| count.to_string());
-        if actions.is_empty() {
-            format!("{number} ({count})")
-        } else {
-            format!("{number} {actions} ({count})")
-        }
+        let gap = if actions.is_empty() { "" } else { " " };
+        format!("{number}{gap}{actions} ({count})")
     });
     let first = first.collect::<Vec<_>>().join(", ");
     let rest = if hits.len() > 4 { format!(", and {} more", hits.len() - 4) } else { String::new() };

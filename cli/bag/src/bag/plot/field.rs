@@ -3,7 +3,7 @@
 
 use std::fmt;
 use taut_cli::arguments::full_name;
-use taut_cli::verb::{Failure, Outcome};
+use taut_cli::verb::{Failure, Outcome, did_you_mean};
 use tautline_schema::{Base, Definition, FieldType, Primitive, Schema, Shape};
 
 /// The maximum number of names that an error lists.
@@ -106,13 +106,7 @@ fn list<'n>(names: impl Iterator<Item = &'n str>) -> String {
 
 /// The failure that there is no `what`, with the names that exist and the one that is most similar to `name`.
 pub fn missing<'n>(what: &str, name: &str, there: impl Iterator<Item = &'n str> + Clone) -> Failure {
-    let likeness = |other: &str| strsim::jaro_winkler(name, other);
-    let nearest = there.clone().map(|other| (likeness(other), other));
-    let nearest = nearest.max_by(|one, other| one.0.total_cmp(&other.0));
-    let meant = match nearest {
-        Some((likeness, nearest)) if likeness > 0.8 => format!(" did you mean {nearest}?"),
-        _ => String::new(),
-    };
+    let meant = did_you_mean(name, there.clone());
     Failure::no(format!("there is no {what};{meant} it has {}", list(there)))
 }
 
