@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut topic list` and `taut topic info`: the publishers and subscriptions of topics, on this host and on others.
 
+use crate::table::{place, places, write_table};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{self, Write};
@@ -31,7 +32,7 @@ pub fn list(topics: &[Topic<'_>], json: bool, out: &mut impl Write) -> io::Resul
         return writeln!(out, "{}", Value::from_iter(topics.iter().map(Topic::to_json)));
     }
     let head = ["topic", "type", "where", "publishers", "subscriptions"];
-    crate::table::write_table(&head, 3, topics.iter().map(Topic::row).collect(), out)
+    write_table(&head, 3, topics.iter().map(Topic::row).collect(), out)
 }
 
 impl<'g> Topic<'g> {
@@ -44,7 +45,7 @@ impl<'g> Topic<'g> {
     }
 
     fn row(&self) -> (bool, Vec<String>) {
-        let places = crate::table::places(self.ends.iter().map(|end| &end.origin));
+        let places = places(self.ends.iter().map(|end| &end.origin));
         let counts = [EndpointKind::Publisher, EndpointKind::Subscription]
             .map(|kind| self.of(kind).count().to_string());
         (true, [vec![self.name.into(), self.type_name.into(), places], counts.to_vec()].concat())
@@ -52,8 +53,7 @@ impl<'g> Topic<'g> {
 
     fn to_json(&self) -> Value {
         let remote = |kind| self.of(kind).filter(|end| end.is_remote).count();
-        let places: BTreeSet<_> =
-            self.ends.iter().filter_map(|end| crate::table::place(&end.origin)).collect();
+        let places: BTreeSet<_> = self.ends.iter().filter_map(|end| place(&end.origin)).collect();
         json!({
             "topic": self.name,
             "type": self.type_name,
@@ -99,88 +99,74 @@ impl<'g> Topic<'g> {
 }
 
 fn print_end(end: &TopicEndpoint, out: &mut impl Write) -> io::Result<()> {
+    let [reliability, history, durability, liveliness] = words(&end.qos);
     let node = end.node.as_ref();
-    let qos = words(&end.qos);
-    writeln!(out)?;
-    writeln!(out, "Node name: {}", node.map_or("(none)", |node| &node.name))?;
-    writeln!(out, "Node namespace: {}", node.map_or("(none)", |node| &node.namespace))?;
-    match end.pid {
-        Some(pid) => writeln!(out, "Process: {pid}")?,
-        None => {
-            crate::table::place(&end.origin).map_or(Ok(()), |place| writeln!(out, "Process: on {place}"))?;
-        }
+    let (name, namespace) = node.map_or(("(none)", "(none)"), |node| (&*node.name, &*node.namespace));
+    writeln!(out, "\nNode name: {name}\nNode namespace: {namespace}")?;
+    match (end.pid, place(&end.origin)) {
+        (Some(pid), _) => writeln!(out, "Process: {pid}")?,
+        (None, Some(place)) => writeln!(out, "Process: on {place}")?,
+        (None, None) => {}
     }
     writeln!(out, "Topic type: {}", end.topic_type.name)?;
     writeln!(out, "Topic type hash: {}", end.topic_type.hash.as_deref().unwrap_or("unknown"))?;
-    writeln!(out, "GID: {:?}", end.gid)?;
-    writeln!(out, "QoS profile:")?;
-    writeln!(out, "  Reliability: {}", qos.reliability)?;
-    writeln!(out, "  History (Depth): {} ({})", qos.history, end.qos.depth)?;
-    writeln!(out, "  Durability: {}", qos.durability)?;
-    writeln!(out, "  Deadline: {}", duration(end.qos.deadline))?;
-    writeln!(out, "  Lifespan: {}", duration(end.qos.lifespan))?;
-    writeln!(out, "  Liveliness: {}", qos.liveliness)?;
+    writeln!(out, "GID: {:?}\nQoS profile:", end.gid)?;
+    writeln!(out, "  Reliability: {reliability}\n  History (Depth): {history} ({})", end.qos.depth)?;
+    writeln!(out, "  Durability: {durability}\n  Deadline: {}", duration(end.qos.deadline))?;
+    writeln!(out, "  Lifespan: {}\n  Liveliness: {liveliness}", duration(end.qos.lifespan))?;
     writeln!(out, "  Liveliness lease duration: {}", duration(end.qos.liveliness_lease_duration))
 }
 
 fn end_json(end: &TopicEndpoint) -> Value {
-    let qos = words(&end.qos);
+    let [reliability, history, durability, liveliness] = words(&end.qos);
     let ns = |duration: Option<Duration>| duration.map(|duration| duration.as_nanos() as u64);
     json!({
         "node": end.node.as_ref().map(|node| node.full_name()),
         "pid": end.pid,
         "remote": end.is_remote,
-        "place": crate::table::place(&end.origin),
+        "place": place(&end.origin),
         "gid": format!("{:?}", end.gid),
         "hash": end.topic_type.hash,
         "qos": {
-            "reliability": qos.reliability,
-            "history": qos.history,
+            "reliability": reliability,
+            "history": history,
             "depth": end.qos.depth,
-            "durability": qos.durability,
+            "durability": durability,
             "deadline_ns": ns(end.qos.deadline),
             "lifespan_ns": ns(end.qos.lifespan),
-            "liveliness": qos.liveliness,
+            "liveliness": liveliness,
             "liveliness_lease_ns": ns(end.qos.liveliness_lease_duration),
         },
     })
 }
 
-struct Words {
-    reliability: &'static str,
-    history: &'static str,
-    durability: &'static str,
-    liveliness: &'static str,
-}
-
-/// A QoS in the words of ROS 2's tools.
-fn words(qos: &Qos) -> Words {
-    Words {
-        reliability: match qos.reliability {
-            Reliability::Reliable => "RELIABLE",
-            Reliability::BestEffort => "BEST_EFFORT",
-        },
-        history: match qos.history {
-            History::KeepLast => "KEEP_LAST",
-            History::KeepAll => "KEEP_ALL",
-        },
-        durability: match qos.durability {
-            Durability::Volatile => "VOLATILE",
-            Durability::TransientLocal => "TRANSIENT_LOCAL",
-        },
-        liveliness: match qos.liveliness {
-            Liveliness::Automatic => "AUTOMATIC",
-            Liveliness::ManualByTopic => "MANUAL_BY_TOPIC",
-        },
-    }
+/// Reliability, history, durability and liveliness in the words of ROS 2's tools.
+fn words(qos: &Qos) -> [&'static str; 4] {
+    let reliability = match qos.reliability {
+        Reliability::Reliable => "RELIABLE",
+        Reliability::BestEffort => "BEST_EFFORT",
+    };
+    let history = match qos.history {
+        History::KeepLast => "KEEP_LAST",
+        History::KeepAll => "KEEP_ALL",
+    };
+    let durability = match qos.durability {
+        Durability::Volatile => "VOLATILE",
+        Durability::TransientLocal => "TRANSIENT_LOCAL",
+    };
+    let liveliness = match qos.liveliness {
+        Liveliness::Automatic => "AUTOMATIC",
+        Liveliness::ManualByTopic => "MANUAL_BY_TOPIC",
+    };
+    [reliability, history, durability, liveliness]
 }
 
 /// The QoS in one line.
 pub fn qos_line(qos: &Qos) -> String {
-    let words = words(qos);
+    let [reliability, history, durability, _] = words(qos);
     let depth = if qos.history == History::KeepLast { format!(" {}", qos.depth) } else { String::new() };
     let deadline = qos.deadline.map_or_else(String::new, |deadline| format!(", deadline {deadline:?}"));
-    format!("{}, {}, {}{depth}{deadline}", words.reliability, words.durability, words.history)
+    format!("{reliability}, {durability}, {history}{depth}{deadline}")
 }
 
 fn duration(duration: Option<Duration>) -> String {
