@@ -32,12 +32,12 @@ pub fn run(args: BridgeRosArgs) -> Outcome<ExitCode> {
     let program = BRIDGE.path();
     let mut command = Command::new(&program);
     let answer = with_former_open_files(command.arg("--version")).stdin(Stdio::null()).output();
-    let answer = answer.map_err(|source| BRIDGE.error(program, source))?;
+    let answer = answer.map_err(|source| BRIDGE.error(&program, &source))?;
     if !answer.status.success() {
         let rmw = std::env::var("RMW_IMPLEMENTATION").ok().filter(|value| !value.is_empty());
         return Err(Failure::unusable(explained(&String::from_utf8_lossy(&answer.stderr), rmw)));
     }
-    Err(BRIDGE.become_it(&args.arguments).into())
+    Err(BRIDGE.become_it(&args.arguments))
 }
 
 fn explained(stderr: &str, rmw: Option<String>) -> String {

@@ -111,7 +111,7 @@ pub fn run(args: ComponentArgs) -> Outcome {
             if common.is_domain_named() {
                 arguments.splice(..0, ["--domain".into(), common.domain()?.to_string().into()]);
             }
-            return Err(CONTAINER.become_it(&arguments).into());
+            return Err(CONTAINER.become_it(&arguments));
         }
         Verb::Load { what, name, namespace, remap, params, log_level, extra_argument } => {
             let (library, component) = what.split_once(':').unwrap_or((&what, ""));

@@ -41,7 +41,7 @@ pub fn run(args: &ManArgs, command: Command) -> Outcome {
                 return Err(Failure::unusable(format!("{}: {}", program.display(), words.trim())));
             }
             Err(error) => {
-                let reason = sibling.error(program, error);
+                let reason = sibling.error(&program, &error);
                 eprintln!("taut: the pages of {} have no options: {reason}", verbs.join(", "));
             }
         }
@@ -63,7 +63,7 @@ fn write_help(args: &ManArgs, sibling: &Sibling) -> Result<(), String> {
     let mut command = process::Command::new(&program);
     // Without colours.
     command.arg("--help").env_remove("CLICOLOR_FORCE").env("NO_COLOR", "1");
-    let output = command.output().map_err(|error| sibling.error(program, error).to_string())?;
+    let output = command.output().map_err(|error| sibling.error(&program, &error).to_string())?;
     if !output.status.success() {
         return Err(String::from_utf8_lossy(&output.stderr).trim().to_owned());
     }

@@ -1,24 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Verbs that run separate programs, so that only their users build what these programs need.
 
-use crate::verb::Outcome;
+use crate::verb::{Failure, Outcome};
 use clap::Args;
 use std::ffi::OsString;
+use std::io;
 use std::os::unix::process::CommandExt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 use tautline_rt::host::with_former_open_files;
-
-/// Why another program was not started.
-#[derive(Debug, thiserror::Error)]
-pub enum SiblingError {
-    #[error(
-        "{program} is not there: neither beside {} nor in PATH; {build}", beside.display()
-    )]
-    Missing { program: &'static str, build: &'static str, beside: PathBuf },
-    #[error("{} cannot be run: {source}", program.display())]
-    Exec { program: PathBuf, source: std::io::Error },
-}
 
 /// A program that is built from a folder of this repository, and that every installable package with `taut` contains.
 macro_rules! packaged {
@@ -76,14 +66,14 @@ impl Sibling {
     /// The program could not be started.
     pub fn run(&self, verb: &[&str], passed_on: &PassedOn) -> Outcome<ExitCode> {
         let arguments: Vec<_> = verb.iter().map(OsString::from).chain(passed_on.arguments.clone()).collect();
-        Err(self.become_it(&arguments).into())
+        Err(self.become_it(&arguments))
     }
 
     /// Replaces this process by the program, from the folder of this program or from PATH. Returns only if that fails.
-    pub fn become_it(&self, arguments: &[OsString]) -> SiblingError {
+    pub fn become_it(&self, arguments: &[OsString]) -> Failure {
         let program = self.path();
         let source = with_former_open_files(Command::new(&program).args(arguments)).exec();
-        self.error(program, source)
+        self.error(&program, &source)
     }
 
     /// The program's path: in the folder of this program if it exists there, otherwise its name, for PATH.
@@ -93,13 +83,14 @@ impl Sibling {
     }
 
     /// The error for a program that could not be started.
-    pub fn error(&self, program: PathBuf, source: std::io::Error) -> SiblingError {
-        match source.kind() {
-            std::io::ErrorKind::NotFound => {
-                let Sibling { program, build } = *self;
-                SiblingError::Missing { program, build, beside: std::env::current_exe().unwrap_or_default() }
+    pub fn error(&self, path: &Path, source: &io::Error) -> Failure {
+        let Sibling { program, build } = self;
+        let here = std::env::current_exe().unwrap_or_default();
+        Failure::unusable(match source.kind() {
+            io::ErrorKind::NotFound => {
+                format!("{program} is not there: neither beside {} nor in PATH; {build}", here.display())
             }
-            _ => SiblingError::Exec { program, source },
-        }
+            _ => format!("{} cannot be run: {source}", path.display()),
+        })
     }
 }

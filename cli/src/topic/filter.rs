@@ -25,7 +25,7 @@ impl Filter {
         let mut command = Command::new(&path);
         command.arg(text).stdin(Stdio::piped()).stdout(Stdio::piped());
         let started = with_former_open_files(&mut command).spawn();
-        let mut child = started.map_err(|error| FILTER.error(path, error))?;
+        let mut child = started.map_err(|error| FILTER.error(&path, &error))?;
         let (Some(messages), Some(answers)) = (child.stdin.take(), child.stdout.take()) else {
             return Err(ended());
         };
