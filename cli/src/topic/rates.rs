@@ -272,14 +272,10 @@ impl Meter {
         }
     }
 
-    fn hz(&self) -> f64 {
+    /// The rate of all flows.
+    fn sum(&self, rate: impl Fn(&Flow, u64) -> f64) -> f64 {
         let now_ns = self.now_ns();
-        self.flows.values().map(|flow| flow.hz(now_ns)).sum()
-    }
-
-    fn bytes_per_second(&self) -> f64 {
-        let now_ns = self.now_ns();
-        self.flows.values().map(|flow| flow.bytes_per_second(now_ns)).sum()
+        self.flows.values().map(|flow| rate(flow, now_ns)).sum()
     }
 
     fn to_json(&self, since: Instant) -> Value {
@@ -302,8 +298,8 @@ impl Meter {
             "seconds": since.elapsed().as_secs_f64(),
             "sim_time": self.sim_clock.is_some(),
             "from": match self.source { Source::Counts(_) => "counts", Source::Messages(_) => "messages" },
-            "rate_hz": self.hz(),
-            "bytes_per_s": self.bytes_per_second(),
+            "rate_hz": self.sum(Flow::hz),
+            "bytes_per_s": self.sum(Flow::bytes_per_second),
             "missed_here": match &self.source { Source::Counts(_) => 0, Source::Messages(tap) => tap.lost() },
             "publishers": self.flows.iter().map(flow).collect::<Value>(),
         })
@@ -425,8 +421,8 @@ pub fn run(args: &RateArgs, unit: Unit, common: &CommonArgs) -> Outcome {
     }
     let Some(expected) = &args.expect else { return Ok(()) };
     let (found, what) = match unit {
-        Unit::Messages => (meter.hz(), "messages a second"),
-        Unit::Bytes => (meter.bytes_per_second(), "bytes a second"),
+        Unit::Messages => (meter.sum(Flow::hz), "messages a second"),
+        Unit::Bytes => (meter.sum(Flow::bytes_per_second), "bytes a second"),
     };
     match expected.contains(&found) {
         true => Ok(()),

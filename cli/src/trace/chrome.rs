@@ -57,10 +57,6 @@ fn names(recording: &Recording, events: &mut Vec<Value>) {
     }
 }
 
-fn pid(recording: &Recording, process: u32) -> u32 {
-    recording.processes.get(&process).map_or(0, |process| process.pid)
-}
-
 fn label(recording: &Recording, process: u32, object: ObjectId) -> String {
     recording.object(process, object).map_or_else(|| format!("#{}", object.0), |object| object.name.clone())
 }
@@ -73,7 +69,7 @@ fn callbacks(recording: &Recording, events: &mut Vec<(u64, u8, Value)>) {
     let published = publications(recording);
     let last_ns = recording.events.last().map_or(0, |timed| timed.event.time_ns);
     for (id, run) in runs(recording).into_iter().enumerate() {
-        let (pid_, tid) = (pid(recording, run.process), run.tid);
+        let (pid_, tid) = (recording.program(run.process).0, run.tid);
         let end_ns = run.end_ns.unwrap_or(last_ns);
         let mut arguments =
             json!({"release_to_start_us": micros(run.start_ns.saturating_sub(run.release_ns))});
@@ -100,7 +96,7 @@ fn arrow(
     events: &mut Vec<(u64, u8, Value)>,
 ) {
     let end = |ph: &str, pid: u32, tid: u32| json!({"ph": ph, "cat": "message", "name": "message", "id": id, "pid": pid, "tid": tid, "bp": "e"});
-    events.push((from.time_ns, ARROW, end("s", pid(recording, from.process), from.tid)));
+    events.push((from.time_ns, ARROW, end("s", recording.program(from.process).0, from.tid)));
     events.push((start_ns, ARROW, end("f", pid_, tid)));
 }
 
@@ -112,7 +108,7 @@ fn others(recording: &Recording, events: &mut Vec<(u64, u8, Value)>) {
     for timed in recording.events.iter().rev() {
         let (process, tid, event) = (timed.process, timed.tid, timed.event);
         let (pid_, name, time_ns) =
-            (pid(recording, process), label(recording, process, event.object), event.time_ns);
+            (recording.program(process).0, label(recording, process, event.object), event.time_ns);
         let slice = |name: &str, category: &str, duration_ns: u64| {
             let (ph, dur) = ("X", micros(duration_ns));
             json!({"ph": ph, "cat": category, "name": name, "pid": pid_, "tid": tid, "dur": dur})

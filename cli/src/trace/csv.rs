@@ -23,7 +23,7 @@ pub fn write(recording: &Recording, to: &mut dyn Write) -> io::Result<()> {
         {
             write_made(recording, process, object, to)?;
         }
-        let (pid, name) = process(recording, timed.process);
+        let (pid, name) = recording.program(timed.process);
         let thread = quoted(&recording.thread_name(timed.process, timed.tid));
         let Event { time_ns, kind, object, arguments } = timed.event;
         let known = recording.object(timed.process, object);
@@ -43,7 +43,8 @@ pub fn write(recording: &Recording, to: &mut dyn Write) -> io::Result<()> {
         };
         writeln!(
             to,
-            "{time_ns},{pid},{name},{},{thread},{},{},{label},{parent},{more}",
+            "{time_ns},{pid},{},{},{thread},{},{},{label},{parent},{more}",
+            quoted(name),
             timed.tid,
             kind.name(),
             object.0
@@ -56,7 +57,7 @@ pub fn write(recording: &Recording, to: &mut dyn Write) -> io::Result<()> {
 }
 
 fn write_made(recording: &Recording, of: u32, object: &Description, to: &mut dyn Write) -> io::Result<()> {
-    let (pid, name) = process(recording, of);
+    let (pid, name) = recording.program(of);
     let publisher = match tautline_trace::gid_key(object.gid) {
         0 => String::new(),
         key => format!("{key:016x}"),
@@ -64,13 +65,10 @@ fn write_made(recording: &Recording, of: u32, object: &Description, to: &mut dyn
     let (time_ns, kind, id, parent) = (object.created_ns, object.kind.name(), object.id.0, object.parent.0);
     writeln!(
         to,
-        "{time_ns},{pid},{name},,,{kind}_init,{id},{},{parent},,,{publisher},,,,",
+        "{time_ns},{pid},{},,,{kind}_init,{id},{},{parent},,,{publisher},,,,",
+        quoted(name),
         quoted(&object.name)
     )
-}
-
-fn process(recording: &Recording, process: u32) -> (u32, String) {
-    recording.processes.get(&process).map_or((0, String::new()), |of| (of.pid, quoted(&of.name)))
 }
 
 /// A cell of CSV, in quotes if it needs them.

@@ -77,10 +77,10 @@ fn rows(recording: &Recording) -> Vec<Row> {
             let source = callback.and_then(|callback| recording.object(run.process, callback.parent));
             let subscription = source.filter(|source| source.kind == ObjectKind::Subscription);
             let lost_of = |id| lost.get(&(run.process, id)).copied();
-            let of = recording.processes.get(&run.process);
+            let (pid, process) = recording.program(run.process);
             Row {
-                pid: of.map_or(0, |of| of.pid),
-                process: of.map(|of| of.name.clone()).unwrap_or_default(),
+                pid,
+                process: process.to_owned(),
                 thread: recording.thread_name(run.process, run.tid),
                 callback: callback
                     .map_or_else(|| format!("#{}", run.callback.0), |callback| callback.name.clone()),

@@ -160,6 +160,11 @@ impl Recording {
         self.processes.values().map(Process::events_lost).fold(0, u64::saturating_add)
     }
 
+    /// The kernel's id and the program of a process; 0 and empty if it is not described.
+    pub fn program(&self, process: u32) -> (u32, &str) {
+        self.processes.get(&process).map_or((0, ""), |of| (of.pid, of.name.as_str()))
+    }
+
     /// The description of an event's object.
     pub fn object(&self, process: u32, id: ObjectId) -> Option<&Description> {
         self.processes.get(&process)?.objects.get(&id)
