@@ -62,12 +62,9 @@ struct Line {
     /// The numbers of its topics in the bag: one, or one for each publisher.
     topics: Vec<usize>,
     schema: Arc<Schema>,
-    is_bool: bool,
-    columns: Columns,
+    series: Series,
     /// The values of every message, for JSON.
     points: Vec<(u64, Json)>,
-    messages: u64,
-    gaps: u64,
     unread: (u64, Option<String>),
 }
 
@@ -122,13 +119,6 @@ pub fn run(args: &PlotArgs, is_json: bool) -> Outcome {
         print_json(args, start_ns, &lines)?;
     }
     if !is_json || args.output.is_some() {
-        let series = lines.iter().map(|line| Series {
-            name: line.wanted.to_string(),
-            columns: &line.columns,
-            is_step: line.is_bool,
-            messages: line.messages,
-            gaps: line.gaps,
-        });
         let name = std::path::absolute(&args.bag)?;
         let picture = Picture {
             name: name.file_name().unwrap_or_default().to_string_lossy().into_owned(),
@@ -136,7 +126,7 @@ pub fn run(args: &PlotArgs, is_json: bool) -> Outcome {
             from_ns,
             to_ns,
             size: (args.width.into(), args.height.into()),
-            series: series.collect(),
+            series: lines.iter().map(|line| &line.series).collect(),
         };
         let svg = picture.draw()?;
         match &args.output {
@@ -147,7 +137,7 @@ pub fn run(args: &PlotArgs, is_json: bool) -> Outcome {
                     Failure::unusable(format!("'{}' cannot be written: {error}", path.display()))
                 })?;
                 if !is_json {
-                    let messages: u64 = lines.iter().map(|line| line.messages).sum();
+                    let messages: u64 = lines.iter().map(|line| line.series.messages).sum();
                     let of = if messages == 1 { "message of" } else { "messages of" };
                     let seconds = (to_ns - from_ns) as f64 / 1e9;
                     writeln!(
@@ -197,17 +187,16 @@ impl PlotArgs {
         }
         let schema = schema_of(first)?;
         let topics = of_name().filter(|(_, topic)| topic.bare() == bare).map(|(at, _)| at).collect();
-        let is_bool = wanted.check(&schema)? == Primitive::Bool;
+        let is_step = wanted.check(&schema)? == Primitive::Bool;
         let columns = Columns::new(from_ns, to_ns, usize::from(self.width));
-        let (points, unread) = (Vec::new(), (0, None));
-        let (wanted, messages, gaps) = (wanted.clone(), 0, 0);
-        Ok(Line { wanted, topics, schema, is_bool, columns, points, messages, gaps, unread })
+        let series = Series { name: wanted.to_string(), columns, is_step, messages: 0, gaps: 0 };
+        Ok(Line { wanted: wanted.clone(), topics, schema, series, points: Vec::new(), unread: (0, None) })
     }
 }
 
 impl Line {
     fn add(&mut self, at_ns: u64, message: Result<&DynamicMessage, &String>, keeps_points: bool) {
-        self.messages += 1;
+        self.series.messages += 1;
         let value = match message {
             Ok(message) => message.get(&self.wanted.path).ok(),
             Err(why) => {
@@ -218,8 +207,8 @@ impl Line {
         };
         let value = value.as_deref();
         let number = value.and_then(number).filter(|number| columns::can_be_drawn(*number));
-        self.gaps += u64::from(number.is_none());
-        self.columns.add(at_ns, number);
+        self.series.gaps += u64::from(number.is_none());
+        self.series.columns.add(at_ns, number);
         if keeps_points {
             self.points.push((at_ns, value.map_or(Json::Null, json_of)));
         }
@@ -228,20 +217,20 @@ impl Line {
     /// # Errors
     /// There is nothing to draw.
     fn check(&self, bag: &Path) -> Outcome {
-        if self.gaps < self.messages {
+        let Series { name, messages, gaps, .. } = &self.series;
+        if gaps < messages {
             return Ok(());
         }
-        let (name, topic, bag) = (&self.wanted, &self.wanted.topic, bag.display());
+        let (topic, bag) = (&self.wanted.topic, bag.display());
         let what = match &self.unread {
-            _ if self.messages == 0 => {
+            _ if *messages == 0 => {
                 format!("{topic} has no message in that time; `taut bag info {bag}` says how many in all")
             }
-            (unread, Some(why)) if *unread == self.messages => {
+            (unread, Some(why)) if unread == messages => {
                 format!("no message of {topic} can be read: {why}")
             }
             _ => format!(
-                "{name} is no number in any of {} messages: NaN, infinite, or an element that is not there",
-                self.messages
+                "{name} is no number in any of {messages} messages: NaN, infinite, or an element that is not there"
             ),
         };
         Err(Failure::no(what))
@@ -290,7 +279,7 @@ fn json_of(value: &Value) -> Json {
 fn print_json(args: &PlotArgs, start_ns: u64, lines: &[Line]) -> Outcome {
     let series = |line: &Line| {
         json!({
-            "topic": line.wanted.topic, "field": line.wanted.path, "messages": line.messages, "gaps": line.gaps,
+            "topic": line.wanted.topic, "field": line.wanted.path, "messages": line.series.messages, "gaps": line.series.gaps,
             "points": line.points,
         })
     };

@@ -43,13 +43,13 @@ pub struct Picture<'p> {
     pub to_ns: u64,
     /// Width and height in pixels.
     pub size: (i32, i32),
-    pub series: Vec<Series<'p>>,
+    pub series: Vec<&'p Series>,
 }
 
 /// One line of the picture.
-pub struct Series<'p> {
+pub struct Series {
     pub name: String,
-    pub columns: &'p Columns,
+    pub columns: Columns,
     /// A bool, which is drawn in steps: it keeps its value until it changes.
     pub is_step: bool,
     pub messages: u64,
@@ -301,9 +301,9 @@ mod tests {
         ] {
             let mut columns = Columns::new(from_ns, to_ns, 300);
             [from_ns, to_ns].into_iter().for_each(|at_ns| columns.add(at_ns, Some(1.0)));
-            let columns = &columns;
             let name = "/a.\u{1}<b>".to_owned();
-            let series = vec![Series { name, columns, is_step: false, messages: 2, gaps: 1 }];
+            let series = Series { name, columns, is_step: false, messages: 2, gaps: 1 };
+            let series = vec![&series];
             let name = "long".repeat(100);
             let picture = Picture { name, start_ns: 0, from_ns, to_ns, size: (320, 200), series };
             let svg = picture.draw().unwrap();
