@@ -6,6 +6,8 @@ use super::application::Collected;
 use serde::{Deserialize, Serialize};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::sync::mpsc;
+use tautline::Context;
+use tautline_rt::clock::process_cpu_ns;
 
 #[derive(Serialize, Deserialize, Debug)]
 pub enum Line {
@@ -76,12 +78,19 @@ pub fn say(line: &Line) {
     }
 }
 
-/// Calls `then` when standard input is closed. An ordinary thread that sleeps until then.
-pub fn on_end_request(then: impl FnOnce() + Send + 'static) {
+/// Says that this process is ready, and spins until the context is shut down, at the latest when standard input is closed. Returns the
+/// processor time of the process meanwhile, in nanoseconds.
+pub fn spin(context: &Context) -> Result<u64, tautline::Error> {
+    let ended = context.clone();
+    // An ordinary thread that sleeps until then.
     std::thread::spawn(move || {
         let _ = std::io::copy(&mut std::io::stdin().lock(), &mut std::io::sink());
-        then();
+        ended.shutdown();
     });
+    let before_ns = process_cpu_ns();
+    say(&Line::Ready);
+    context.spin()?;
+    Ok(process_cpu_ns() - before_ns)
 }
 
 /// The lines of a process, as they come; ends with the process.

@@ -45,15 +45,8 @@ pub fn run(args: &DemoArgs) -> Outcome {
             context.shutdown();
         })?
     };
-    {
-        let context = context.clone();
-        protocol::on_end_request(move || context.shutdown());
-    }
     let collector = MomentCollector::new(&context, elsewhere, [&worker], || {});
-    let cpu_before_ns = clock::process_cpu_ns();
-    protocol::say(&Line::Ready);
-    node.spin()?;
-    let cpu_ns = clock::process_cpu_ns() - cpu_before_ns;
+    let cpu_ns = protocol::spin(&context)?;
     worker.stop();
     let (messages, missed) = (counts.messages.load(Ordering::Relaxed), counts.missed.load(Ordering::Relaxed));
     let seen = collector.end();

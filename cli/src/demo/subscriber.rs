@@ -44,10 +44,6 @@ pub fn run(args: &DemoArgs) -> Outcome {
         };
         callbacks.push(Callback { task, log, counters, handle });
     }
-    {
-        let context = context.clone();
-        protocol::on_end_request(move || context.shutdown());
-    }
     let logs: Vec<_> = callbacks.iter().map(|callback| callback.log.clone()).collect();
     let collector = MomentCollector::new(
         &context,
@@ -58,10 +54,7 @@ pub fn run(args: &DemoArgs) -> Outcome {
             protocol::say(&Line::Progress(handled as u64));
         },
     );
-    let cpu_before_ns = clock::process_cpu_ns();
-    protocol::say(&Line::Ready);
-    node.spin()?;
-    let cpu_ns = clock::process_cpu_ns() - cpu_before_ns;
+    let cpu_ns = protocol::spin(&context)?;
     protocol::say(&Line::Measured(measured(callbacks, collector, cpu_ns)?));
     Ok(())
 }
