@@ -48,7 +48,7 @@ pub struct ComponentArgs {
 #[derive(Args, Debug)]
 struct Target {
     /// The container's node [default: /ComponentManager]
-    #[arg(long, global = true, value_name = "NODE", add = completions::containers())]
+    #[arg(long, global = true, value_name = "NODE", add = completions::nodes_with("_container/list_nodes"))]
     container: Option<String>,
     #[command(flatten)]
     common: CommonArgs,

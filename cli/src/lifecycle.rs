@@ -30,13 +30,13 @@ pub enum Verb {
     /// Prints the state of a node, or of all
     Get {
         /// The node's name with its namespace [default namespace: /]
-        #[arg(value_name = "NODE", add = completions::lifecycle_nodes())]
+        #[arg(value_name = "NODE", add = completions::nodes_with(STATE))]
         node: Option<String>,
     },
     /// Prints the transitions that are possible from a node's present state
     List {
         /// The node's name with its namespace [default namespace: /]
-        #[arg(value_name = "NODE", add = completions::lifecycle_nodes())]
+        #[arg(value_name = "NODE", add = completions::nodes_with(STATE))]
         node: String,
         /// Print all transitions, from any state
         #[arg(short, long)]
@@ -45,7 +45,7 @@ pub enum Verb {
     /// Triggers a transition of a node and waits for its end; exits with 1 if it fails
     Set {
         /// The node's name with its namespace [default namespace: /]
-        #[arg(value_name = "NODE", add = completions::lifecycle_nodes())]
+        #[arg(value_name = "NODE", add = completions::nodes_with(STATE))]
         node: String,
         /// The transition: its label or its number
         #[arg(value_name = "TRANSITION", add = completions::transitions())]

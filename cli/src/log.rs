@@ -78,7 +78,7 @@ enum Verb {
     /// `Node::make_logger_handler`.
     Level {
         /// The node's name with its namespace [default namespace: /]
-        #[arg(value_name = "NODE", add = completions::logging_nodes())]
+        #[arg(value_name = "NODE", add = completions::nodes_with("set_logger_levels"))]
         node: String,
         /// The lowest severity to log; unset: the level of the parent logger
         #[arg(value_parser = severity(&LEVELS), value_name = "LEVEL")]

@@ -33,10 +33,11 @@ const PATIENCE: Duration = Duration::from_millis(60);
 
 /// Names, each with a description for shells that show one.
 type Names = BTreeMap<String, String>;
-/// A source of names; it may leave out names that do not begin with the word.
-type Find = fn(asked: &'static Asked, word: &str) -> Option<Names>;
 
-fn completer(find: Find) -> ArgValueCompleter {
+/// Completes a word by `find`, which may leave out names that do not begin with the word.
+fn completer(
+    find: impl Fn(&'static Asked, &str) -> Option<Names> + Copy + Send + Sync + 'static,
+) -> ArgValueCompleter {
     ArgValueCompleter::new(move |word: &OsStr| offered(find, word).unwrap_or_default())
 }
 
@@ -51,7 +52,10 @@ impl Asked {
     }
 }
 
-fn offered(find: Find, word: &OsStr) -> Option<Vec<CompletionCandidate>> {
+fn offered(
+    find: impl Fn(&'static Asked, &str) -> Option<Names> + Send + 'static,
+    word: &OsStr,
+) -> Option<Vec<CompletionCandidate>> {
     let (asked, word) = (ASKED.get()?, word.to_str()?);
     let (tell, told) = mpsc::channel();
     let typed = word.to_owned();
@@ -123,25 +127,9 @@ pub fn nodes() -> ArgValueCompleter {
     completer(|asked, _| Some(bare(asked.graph()?.nodes.iter().map(|node| node.name.full_name()))))
 }
 
-fn nodes_with(asked: &Asked, service: &str) -> Option<Names> {
-    Some(bare(nodes_serving(asked.line.domain()?, service).ok()?))
-}
-
-pub fn parameter_nodes() -> ArgValueCompleter {
-    completer(|asked, _| nodes_with(asked, "list_parameters"))
-}
-
-pub fn lifecycle_nodes() -> ArgValueCompleter {
-    completer(|asked, _| nodes_with(asked, "get_state"))
-}
-
-/// The nodes whose loggers' levels can be set.
-pub fn logging_nodes() -> ArgValueCompleter {
-    completer(|asked, _| nodes_with(asked, "set_logger_levels"))
-}
-
-pub fn containers() -> ArgValueCompleter {
-    completer(|asked, _| nodes_with(asked, "_container/list_nodes"))
+/// The nodes that serve `<node>/<service>`.
+pub fn nodes_with(service: &'static str) -> ArgValueCompleter {
+    completer(move |asked, _| Some(bare(nodes_serving(asked.line.domain()?, service).ok()?)))
 }
 
 /// The services or actions of the domain. `of` selects them by the name and type of a service.
@@ -213,9 +201,7 @@ fn known_types(asked: &Asked) -> Option<impl Iterator<Item = TypeName> + use<>> 
 
 /// The packages that have types.
 pub fn packages() -> ArgValueCompleter {
-    completer(|asked, _| {
-        Some(known_types(asked)?.map(|name| (name.package().to_owned(), String::new())).collect())
-    })
+    completer(|asked, _| Some(bare(known_types(asked)?.map(|name| name.package().to_owned()))))
 }
 
 /// Known types, or files with definitions.

@@ -10,9 +10,9 @@ mod live;
 mod paths;
 
 pub use live::{
-    action_servers, action_types, actions, components, containers, fields, interfaces, lifecycle_nodes,
-    logging_nodes, message_types, nodes, packages, parameter_nodes, parameters, servers, service_types,
-    services, topic_types, topics, transitions, types_of_service,
+    action_servers, action_types, actions, components, fields, interfaces, message_types, nodes, nodes_with,
+    packages, parameters, servers, service_types, services, topic_types, topics, transitions,
+    types_of_service,
 };
 
 use crate::sibling::WITH_VERBS;

@@ -25,7 +25,7 @@ const LIST: &str = "list_parameters";
 #[derive(Args, Clone, Debug)]
 pub struct NodeArg {
     /// The node's name with its namespace [default namespace: /]
-    #[arg(value_name = "NODE", add = completions::parameter_nodes())]
+    #[arg(value_name = "NODE", add = completions::nodes_with(LIST))]
     node: String,
 }
 
@@ -45,7 +45,7 @@ pub enum Verb {
     /// Prints the names of the parameters of one node or of all; exits with 1 if a node does not answer within 1 s
     List {
         /// The node's name with its namespace [default namespace: /]
-        #[arg(value_name = "NODE", add = completions::parameter_nodes())]
+        #[arg(value_name = "NODE", add = completions::nodes_with(LIST))]
         node: Option<String>,
     },
     /// Prints the value of a parameter
