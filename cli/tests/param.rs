@@ -7,8 +7,9 @@ use futures::StreamExt;
 use serde_json::json;
 use std::fs;
 use support::{Here, said};
+use tautline::rcl_interfaces::msg;
 use tautline::rcl_interfaces::srv::{GetParameters, ListParameters, SetParameters};
-use tautline::{Node, ParameterDescriptor, Qos};
+use tautline::{Node, ParameterDescriptor, ParameterValue, Qos};
 
 fn parameters(here: &mut Here, name: &str, namespace: &str) -> Node {
     let mut node = here.node(name, namespace);
@@ -142,6 +143,53 @@ fn parameters_are_listed_read_and_set() {
         let line = format!("Set parameter {name} failed: the node does not say whether it was set\n");
         assert!(loaded.1.contains(&line), "{loaded:?}");
     }
+}
+
+/// As rclcpp does for a parameter that is declared with a type, but without a value: whoever asks for that one, too, gets no value at all.
+#[test]
+fn a_parameter_without_a_value_hides_no_other() {
+    const NAMES: [&str; 5] = ["frame", "gain", "serial", "speed", "unset"];
+    let mut here = Here::new(80);
+    let mut node = here.node("driver", "");
+    let qos = Qos::services_default();
+    let requests = node.create_service::<ListParameters::Service>("~/list_parameters", qos).unwrap().owned();
+    let answer = requests.for_each(|request| {
+        let mut answer = ListParameters::Response::default();
+        answer.result.names = NAMES.map(String::from).into();
+        request.respond(answer).unwrap();
+        std::future::ready(())
+    });
+    here.serve(&mut node, answer);
+    let requests = node.create_service::<GetParameters::Service>("~/get_parameters", qos).unwrap().owned();
+    let answer = requests.for_each(|request| {
+        let names = request.message.names.clone();
+        let is_known = |name: &String| name != "unset" && NAMES.contains(&&**name);
+        let value = |name: &String| msg::ParameterValue::from(&ParameterValue::from(name.as_str()));
+        let values = if names.iter().all(is_known) { names.iter().map(value).collect() } else { Vec::new() };
+        request.respond(GetParameters::Response { values }).unwrap();
+        std::future::ready(())
+    });
+    here.serve(&mut node, answer);
+    // It refuses everything.
+    let requests = node.create_service::<SetParameters::Service>("~/set_parameters", qos).unwrap().owned();
+    let answer = requests.for_each(|request| {
+        let results =
+            request.message.parameters.iter().map(|_| msg::SetParametersResult::default()).collect();
+        request.respond(SetParameters::Response { results }).unwrap();
+        std::future::ready(())
+    });
+    here.serve(&mut node, answer);
+
+    let expected = "/driver:\n  ros__parameters:\n    frame: frame\n    gain: gain\n    serial: serial\n    speed: speed\n";
+    assert_eq!(here.taut(&["param", "dump", "driver"]), expected);
+    assert_eq!(here.taut(&["param", "get", "driver", "unset"]), "Parameter not set.\n");
+    // What has its value already is not refused.
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("driver.yaml");
+    fs::write(&file, "/driver: {ros__parameters: {frame: frame, gain: gain, unset: 1, speed: 2}}\n").unwrap();
+    let loaded = here.refused(&["param", "load", "driver", file.to_str().unwrap()]);
+    said(&loaded, 1, "/driver refuses 2 of 4");
+    assert!(loaded.1.contains("Set parameter gain successful\n"), "{loaded:?}");
 }
 
 fn files(here: &Here, control: &Node) {

@@ -124,7 +124,7 @@ pub fn run(args: &Verbs<Verb>) -> Outcome {
         }
         Verb::Get { node: of, name, hide_type } => {
             let mut node = node(of)?;
-            let value = node.get(vec![name.clone()])?.remove(0);
+            let value = node.get(std::slice::from_ref(name))?.remove(0);
             if value == ParameterValue::NotSet {
                 node.must_have(name)?;
             }
@@ -148,7 +148,7 @@ pub fn run(args: &Verbs<Verb>) -> Outcome {
         Verb::Dump { node: of } => {
             let mut node = node(of)?;
             let names = node.names()?;
-            let values = node.get(names.clone())?;
+            let values = node.get(&names)?;
             let parameters: Vec<_> = names.into_iter().zip(values).collect();
             match common.json {
                 true => print_json(&file::json(&node.name, &parameters)),
@@ -230,7 +230,8 @@ fn load(common: &CommonArgs, node: &mut NodeCaller, file: &Path) -> Outcome {
     let refused =
         |done: &[Set]| -> Vec<usize> { (0..done.len()).filter(|i| done[*i].refused.is_some()).collect() };
     let doubtful = refused(&done);
-    let now = node.get(doubtful.iter().map(|i| parameters[*i].0.clone()).collect())?;
+    let names: Vec<String> = doubtful.iter().map(|i| parameters[*i].0.clone()).collect();
+    let now = node.get(&names)?;
     for (i, now) in doubtful.into_iter().zip(now) {
         if now == parameters[i].1 {
             done[i].refused = None;
@@ -285,13 +286,20 @@ impl NodeCaller {
     }
 
     /// Parameters that do not exist have the value "not set".
-    fn get(&mut self, names: Vec<String>) -> Outcome<Vec<ParameterValue>> {
-        let count = names.len();
-        let request = GetParameters::Request { names };
-        let mut values = self.call::<GetParameters::Service>("get_parameters", request)?.values;
-        // If one parameter is missing, nodes of rclcpp return none.
-        values.resize_with(count, Default::default);
-        Ok(values.into_iter().map(ParameterValue::try_from).collect::<Result<_, _>>()?)
+    fn get(&mut self, names: &[String]) -> Outcome<Vec<ParameterValue>> {
+        let request = GetParameters::Request { names: names.to_vec() };
+        let values = self.call::<GetParameters::Service>("get_parameters", request)?.values;
+        if values.len() == names.len() {
+            return Ok(values.into_iter().map(ParameterValue::try_from).collect::<Result<_, _>>()?);
+        }
+        // If one parameter is missing, or is declared without a value, nodes of rclcpp return none of them.
+        match names {
+            [] | [_] => Ok(vec![ParameterValue::NotSet; names.len()]),
+            _ => {
+                let (first, rest) = names.split_at(names.len() / 2);
+                Ok([self.get(first)?, self.get(rest)?].concat())
+            }
+        }
     }
 
     fn set(&mut self, parameters: &[(String, ParameterValue)]) -> Outcome<Vec<Set>> {
