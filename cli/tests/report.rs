@@ -246,6 +246,35 @@ fn what_was_kept_is_kept_and_a_saved_run_says_the_same() {
     assert!(text(&output.stdout).contains("another text of the system file"));
 }
 
+/// As in `taut report | head -1`.
+#[test]
+fn a_reader_that_has_gone_changes_neither_the_exit_code_nor_what_is_saved() {
+    let unread = |arguments: &[&str]| {
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        let output = command(arguments).stdout(writer).output().unwrap();
+        (output.status.code(), text(&output.stderr))
+    };
+    let scratch = Scratch::new("unread");
+    let system = scratch.write("system.toml", SYSTEM);
+    let mut running = Running::start(163, Realtime::Off, &system);
+    for name in ["fine", "other"] {
+        running.handle(name, 1, &releases(1, PERIOD, LITTLE));
+    }
+    let run = scratch.0.join("run.json");
+    let run = run.to_str().unwrap();
+    let (code, words) = unread(&["--watch", "--json", "--domain", "163", "--save", run]);
+    assert_eq!(code, Some(0), "it ends although the process runs: {words}");
+    assert_eq!(taut(&[run]).status.code(), Some(0), "{words}");
+
+    let strict = scratch.write("strict.toml", &SYSTEM.replacen("20s", "0.5ms", 1));
+    let strict = strict.to_str().unwrap();
+    let forms: [&[&str]; 3] = [&[], &["--json"], &["--wcet"]];
+    for more in forms {
+        assert_eq!(unread(&[&[run, "--system", strict], more].concat()).0, Some(1), "{more:?}");
+    }
+}
+
 #[test]
 fn callbacks_without_a_job_are_nothing_to_compare() {
     let scratch = Scratch::new("idle");

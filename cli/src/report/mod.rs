@@ -183,7 +183,7 @@ fn report_saved(args: &ReportArgs, path: &Path, text: &str) -> Result<Verdict, R
     if let Some(path) = &args.save {
         run.save(path)?;
     }
-    print(args, &system, &run, false)
+    Ok(print(args, &system, &run, false)?.verdict)
 }
 
 fn report_running(args: &ReportArgs) -> Result<Verdict, ReportError> {
@@ -204,8 +204,10 @@ fn report_running(args: &ReportArgs) -> Result<Verdict, ReportError> {
         let run = processes.gather(&path, &system.text)?;
         // Without a terminal, intermediate tables are omitted.
         let shown = last || args.common.json || io::stdout().is_terminal();
-        let verdict = if shown { print(args, &system, &run, args.watch)? } else { Verdict::Nothing };
-        if last {
+        let unshown = Printed { verdict: Verdict::Nothing, is_read: true };
+        let Printed { verdict, is_read } =
+            if shown { print(args, &system, &run, args.watch)? } else { unshown };
+        if last || !is_read {
             processes.print_killed();
             if let Some(path) = &args.save {
                 run.save(path)?;
@@ -237,22 +239,40 @@ fn read(path: &Path) -> Result<String, ReportError> {
     std::fs::read_to_string(path).map_err(|source| ReportError::Read { path: path.into(), source })
 }
 
-fn print(args: &ReportArgs, system: &System, run: &Run, in_place: bool) -> Result<Verdict, ReportError> {
+/// What a report says, and whether it still has a reader.
+struct Printed {
+    verdict: Verdict,
+    is_read: bool,
+}
+
+/// Whether the output still has a reader. That it has gone (`taut report | head`) is no error: the run is saved, and the verdict stays.
+fn is_read(written: io::Result<()>) -> io::Result<bool> {
+    match written {
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(false),
+        written => written.map(|()| true),
+    }
+}
+
+fn print(args: &ReportArgs, system: &System, run: &Run, in_place: bool) -> Result<Printed, ReportError> {
     let comparison = Comparison::new(&system.file, &system.checked, run);
     if args.wcet {
         return print_wcets(args, system, run, &comparison);
     }
+    let is_read = is_read(write(args, run, &comparison, in_place))?;
+    Ok(Printed { verdict: comparison.verdict, is_read })
+}
+
+fn write(args: &ReportArgs, run: &Run, comparison: &Comparison, in_place: bool) -> io::Result<()> {
     let mut out = crate::print::stdout();
     if args.common.json {
-        json::write(&comparison, &mut out)?;
+        json::write(comparison, &mut out)?;
     } else {
         if in_place && io::stdout().is_terminal() {
             write!(out, "{}", crate::print::clear())?;
         }
-        table::write(&comparison, run, &mut out)?;
+        table::write(comparison, run, &mut out)?;
     }
-    out.flush()?;
-    Ok(comparison.verdict)
+    out.flush()
 }
 
 fn print_wcets(
@@ -260,33 +280,42 @@ fn print_wcets(
     system: &System,
     run: &Run,
     comparison: &Comparison,
-) -> Result<Verdict, ReportError> {
+) -> Result<Printed, ReportError> {
     let fits = Fits::new(comparison, args.exceedance, run.taken_at_s);
     let change = if args.lower { Change::RaiseAndLower } else { Change::Raise };
-    let written = args.write.then(|| fits.put(system, &run.system_path, change)).transpose()?;
+    let changed = args.write.then(|| fits.put(system, &run.system_path, change)).transpose()?;
+    let is_read = is_read(write_wcets(args, run, &fits, changed.as_ref()))?;
+    let kept = match changed {
+        // The file now states at least what was measured, except for the largest input, which only the user can state.
+        Some((_, schedulable)) => schedulable && fits.inputs_are_kept(),
+        None => fits.are_kept(),
+    };
+    let verdict = if comparison.jobs() == 0 { Verdict::Nothing } else { Verdict::of(kept) };
+    Ok(Printed { verdict, is_read })
+}
+
+/// `changed`: the changes of the file in words, and whether it is schedulable with them.
+fn write_wcets(
+    args: &ReportArgs,
+    run: &Run,
+    fits: &Fits<'_>,
+    changed: Option<&(Vec<String>, bool)>,
+) -> io::Result<()> {
     let mut out = crate::print::stdout();
     if args.common.json {
         let mut report = fits.to_json();
-        if let Some((changes, schedulable)) = &written {
+        if let Some((changes, schedulable)) = changed {
             report["changes"] = serde_json::json!(changes);
             report["schedulable"] = serde_json::json!(schedulable);
         }
         writeln!(out, "{report}")?;
     } else {
         fits.write(&mut out)?;
-        if let Some((changes, schedulable)) = &written {
+        if let Some((changes, schedulable)) = changed {
             print_changes(&run.system_path, changes, *schedulable, &mut out)?;
         }
     }
-    out.flush()?;
-    if comparison.jobs() == 0 {
-        return Ok(Verdict::Nothing);
-    }
-    Ok(Verdict::of(match written {
-        // The file now states at least what was measured, except for the largest input, which only the user can state.
-        Some((_, schedulable)) => schedulable && fits.inputs_are_kept(),
-        None => fits.are_kept(),
-    }))
+    out.flush()
 }
 
 fn print_changes(path: &Path, changes: &[String], schedulable: bool, out: &mut impl Write) -> io::Result<()> {
