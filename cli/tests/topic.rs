@@ -237,6 +237,27 @@ fn what_was_expected_decides_the_exit_code() {
     assert!(code == 1 && words.contains("no message came on '/silent'"), "{words}");
 }
 
+/// A sensor's driver offers best effort, and may start after its consumers.
+#[test]
+fn delays_are_also_those_of_a_publisher_that_comes_later() {
+    let participant = enter(71);
+    let topic_type = TopicType::new(schema().name().to_string()).with_hash(schema().hash().to_string());
+    let qos = Qos::keep_last(5).best_effort();
+    let _consumer =
+        participant.create_raw_subscription("/scan", &topic_type, qos, Limits::default()).unwrap();
+    let mut delay = Running::start(&mut command(&["topic", "delay", "/scan", "--json", "--every", "20ms"]));
+    let mut next = || serde_json::from_str::<Value>(&delay.line()).unwrap()["publishers"].take();
+    assert_eq!(next(), json!([]), "it has subscribed");
+    let publisher = publisher(&participant, "/scan", qos);
+    let is_taken = (0..500).any(|_| {
+        publisher.publish(&message(&json!({ "stamp": { "sec": i32::MAX } }))).unwrap();
+        next()[0]["messages"].as_u64() > Some(0)
+    });
+    assert!(is_taken, "its messages are not taken");
+    delay.interrupt();
+    assert_eq!(delay.end().0, 0);
+}
+
 #[test]
 fn a_verb_ends_in_time_however_fast_messages_come() {
     let participant = enter(139);

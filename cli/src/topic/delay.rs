@@ -19,9 +19,7 @@ use tautline_definitions::find_schema;
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
 use tautline_rt::{Policy, set_policy};
 use tautline_schema::{DynamicMessage, Endian, Schema};
-use tautline_transport::{
-    Durability, EndpointKind, Gid, Limits, Participant, Qos, Reliability, TakeError, TopicType,
-};
+use tautline_transport::{Gid, Limits, Participant, Qos, TakeError, TopicType};
 
 /// Prints the time from each message's stamp to its publication, and from there until it is taken here
 ///
@@ -96,12 +94,8 @@ pub fn run(args: &DelayArgs, common: &CommonArgs) -> Outcome {
     let (domain, topic) = (common.domain()?, full_name(&args.topic));
     let topic_type = wait_for_type(domain, &topic, &end)?;
     let participant = Participant::new(domain)?;
-    let graph = participant.graph()?;
-    let publishers = ends(&graph, &topic).filter(|end| end.kind == EndpointKind::Publisher);
-    let offered = |policy: fn(&Qos) -> bool| publishers.clone().all(|end| policy(&end.qos));
-    let qos = Qos::keep_last(100);
-    let qos = if offered(|qos| qos.reliability == Reliability::Reliable) { qos } else { qos.best_effort() };
-    debug_assert_eq!(qos.durability, Durability::Volatile, "what is kept is old, and no delay");
+    // As `ros2 topic delay`: compatible with every publisher, also with those that come later. What is kept is old, and no delay.
+    let qos = Qos::keep_last(100).best_effort();
     let node = participant.create_node(&format!("taut_delay_{}", std::process::id()), "/")?;
     let topic_type = TopicType { definition: None, body_bytes: None, ..topic_type };
     let limits = Limits { held: 1, ..Limits::default() };
