@@ -258,6 +258,18 @@ fn delays_are_also_those_of_a_publisher_that_comes_later() {
     assert_eq!(delay.end().0, 0);
 }
 
+/// A sensor whose clock is ahead.
+#[test]
+fn stamps_without_an_age_are_counted() {
+    let participant = enter(73);
+    let body = message(&json!({ "stamp": { "sec": i32::MAX } }));
+    let (stop, thread) = flow(publisher(&participant, "/ahead", Qos::keep_last(2)), 100.0, body);
+    let table = taut(&["topic", "delay", "/ahead", "--timeout", "1s"]);
+    assert!(table.contains(" stamps are later than the publication"), "{table}");
+    stop.send(()).unwrap();
+    thread.join().unwrap();
+}
+
 #[test]
 fn a_verb_ends_in_time_however_fast_messages_come() {
     let participant = enter(139);

@@ -77,6 +77,18 @@ impl Ages {
     }
 }
 
+/// What the table does not contain: messages that were overwritten before they were taken, messages that are not valid, and stamps that
+/// are later than the publication.
+fn remarks(numbers: [u64; 3]) -> impl Iterator<Item = String> {
+    let words = [
+        "messages were overwritten before they were taken, and have no delay",
+        "messages are not valid ones of the type, and have no delay",
+        "stamps are later than the publication, and have no age: do their clocks differ?",
+    ];
+    let some = numbers.into_iter().zip(words).filter(|(number, _)| *number > 0);
+    some.map(|(number, words)| format!("({number} {words})"))
+}
+
 /// The stamp of a message, in ns since 1970.
 fn stamp_of(schema: &Arc<Schema>, body: &[u8]) -> Option<i64> {
     let message = DynamicMessage::from_body(schema, body, Endian::Little).ok()?;
@@ -172,6 +184,11 @@ pub fn run(args: &DelayArgs, common: &CommonArgs) -> Outcome {
                 let head =
                     ["publisher", "stamp-pub p50 ms", "p99", "max", "pub-take p50 ms", "p99", "max", "n"];
                 write_table(&head, 1, all.values().map(|ages| (true, ages.row())).collect(), &mut out)?;
+                let counters = subscription.counters();
+                let ahead = all.values().map(|ages| ages.ahead).sum();
+                for remark in remarks([counters.lost(), counters.invalid(), ahead]) {
+                    writeln!(out, "{remark}")?;
+                }
                 writeln!(out)?;
             }
             out.flush()?;
@@ -191,5 +208,18 @@ pub fn run(args: &DelayArgs, common: &CommonArgs) -> Outcome {
             "'{topic}': a message was taken {longest:?} after its publication, not {max:?}"
         ))),
         Some(_) => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_has_no_delay_is_counted_below_the_table() {
+        assert_eq!(remarks([0; 3]).count(), 0);
+        let said: Vec<_> = remarks([7, 0, 3]).collect();
+        assert!(said.len() == 2 && said[0].starts_with("(7 messages were overwritten"), "{said:?}");
+        assert!(said[1].starts_with("(3 stamps are later"), "{said:?}");
     }
 }
