@@ -40,7 +40,7 @@ pub struct CallbackRow {
     pub response_p99_ms: Option<f64>,
     /// The longest response time of all jobs.
     pub response_max_ms: Option<f64>,
-    /// The bound that `taut check` computes from the process's system file.
+    /// The bound that `taut check` computes from the process's system file; `None` if that has another text by now.
     pub bound_ms: Option<f64>,
     pub execution_max_ms: Option<f64>,
     pub budget_ms: Option<f64>,
@@ -103,6 +103,27 @@ struct CoreTimes {
 /// Bounds and capacities of a system file's callbacks.
 type Bounds = BTreeMap<String, (Option<u64>, Option<usize>)>;
 
+/// The bounds of each text of a system file that a process runs with, by the file's path and the text's fingerprint.
+#[derive(Default)]
+struct Systems(BTreeMap<(PathBuf, u64), Bounds>);
+
+impl Systems {
+    /// None if the file has another text by now, is being edited, or was removed: it is read again at the next refresh.
+    fn bounds(&mut self, path: &Path, fingerprint: u64) -> Bounds {
+        let key = (path.to_owned(), fingerprint);
+        if let Some(known) = self.0.get(&key) {
+            return known.clone();
+        }
+        let file = SystemFile::read(path).ok().filter(|file| file.fingerprint() == fingerprint);
+        let Some(file) = file else { return Bounds::new() };
+        let callbacks = file.check().callbacks.into_iter();
+        let bounds: Bounds =
+            callbacks.map(|one| (one.entry.name, (one.response_overhead_ns, one.capacity))).collect();
+        self.0.insert(key, bounds.clone());
+        bounds
+    }
+}
+
 /// Refreshes the picture.
 pub struct Gatherer {
     domain: u32,
@@ -110,7 +131,7 @@ pub struct Gatherer {
     rates: RateMeter,
     before: Before,
     refreshed: Option<Instant>,
-    systems: BTreeMap<PathBuf, Bounds>,
+    systems: Systems,
 }
 
 impl Gatherer {
@@ -137,7 +158,7 @@ impl Gatherer {
         for process in processes {
             // A process that is ending, or has another version, is omitted.
             let Ok(Some(snapshot)) = process.read() else { continue };
-            let bounds = self.bounds(&snapshot.process.system_path);
+            let bounds = self.systems.bounds(&snapshot.process.system_path, snapshot.process.system_hash);
             for callback in snapshot.callbacks.iter().filter(|callback| !callback.ended && !callback.is_group)
             {
                 let key = (snapshot.process.pid, callback.name.clone());
@@ -177,24 +198,6 @@ impl Gatherer {
             (&one.program, one.pid, &one.name).cmp(&(&other.program, other.pid, &other.name))
         });
         Ok(rows)
-    }
-
-    fn bounds(&mut self, path: &Path) -> Bounds {
-        if path.as_os_str().is_empty() {
-            return Bounds::new();
-        }
-        let read = || {
-            let file = SystemFile::parse(&fs::read_to_string(path).ok()?).ok()?;
-            let bounds = file.check().callbacks;
-            Some(
-                bounds
-                    .into_iter()
-                    .map(|one| (one.entry.name, (one.response_overhead_ns, one.capacity)))
-                    .collect(),
-            )
-        };
-        // There are no bounds if the file was removed or is being edited.
-        self.systems.entry(path.to_owned()).or_insert_with(|| read().unwrap_or_default()).clone()
     }
 
     fn topics(&mut self) -> Outcome<Vec<TopicRow>> {
@@ -350,6 +353,31 @@ mod tests {
         assert_eq!(times.keys().copied().collect::<Vec<_>>(), [0, 12]);
         assert_eq!((times[&0].all, times[&0].idle, times[&0].steal), (107, 84, 7));
         assert!(core_times("").is_empty());
+    }
+
+    #[test]
+    fn bounds_are_those_of_the_text_with_which_a_process_runs() {
+        let text = |wcet: &str| {
+            format!(
+                "[hosts.a]\ncores = 1\n[nodes.slam]\n[topics]\nscan = {{ period = \"10ms\" }}\n[callbacks]\n\
+                 map = {{ topic = \"scan\", wcet = \"{wcet}\" }}\n"
+            )
+        };
+        let (former, edited) = (text("1ms"), text("2ms"));
+        let [was, is] = [&former, &edited].map(|text| SystemFile::parse(text).unwrap().fingerprint());
+        let path = std::env::temp_dir().join(format!("taut-top-{}.toml", std::process::id()));
+        let mut systems = Systems::default();
+        let mut bound_ns = |fingerprint| systems.bounds(&path, fingerprint).get("map").and_then(|of| of.0);
+        assert_eq!(bound_ns(was), None, "the file is not there yet");
+        fs::write(&path, &former).unwrap();
+        let first = bound_ns(was);
+        assert!(first >= Some(1_000_000), "{first:?}");
+        // The file is edited; then the process adopts it.
+        fs::write(&path, &edited).unwrap();
+        assert_eq!(bound_ns(was), first);
+        assert!(bound_ns(is) >= Some(2_000_000));
+        assert_eq!(Systems::default().bounds(&path, was), Bounds::new(), "its text is not there any more");
+        fs::remove_file(&path).unwrap();
     }
 
     fn topic(name: &str, rate_hz: f64) -> TopicRow {

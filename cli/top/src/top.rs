@@ -15,8 +15,8 @@ use taut_cli::verb::{CommonArgs, End, Failure, Outcome, time};
 /// Shows callbacks, topics and cores as they are now: response times beside their bounds, rates, losses, load
 ///
 /// Does not subscribe and disturbs no process: it reads their statistics in shared memory. Response times are those of the jobs since the
-/// previous refresh; the maximum is that of all jobs. Bounds are those that `taut check` computes from the processes' system files.
-/// Violations are red.
+/// previous refresh; the maximum is that of all jobs. Bounds are those that `taut check` computes from the processes' system files, while
+/// these have the text with which the processes run. Violations are red.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut top
