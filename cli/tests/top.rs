@@ -1,20 +1,23 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut top`: of processes that come, are measured, and are killed; on a terminal.
 
-#[path = "support/schemas.rs"]
-mod schemas;
+mod support;
 
+use futures::StreamExt;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::OFlags;
 use rustix::pty;
 use rustix::termios::{Winsize, tcsetwinsize};
-use schemas::Checked;
 use serde_json::Value;
 use std::fs::File;
 use std::io::{Read, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
+use support::Here;
+use support::schemas::Checked;
+use tautline::example_interfaces::msg::UInt64;
+use tautline::{CallbackOptions, Qos};
 use tautline_transport::{EndpointKind, graph_of};
 
 const DOMAIN: u32 = 144;
@@ -73,6 +76,33 @@ fn what_runs_is_shown_until_it_dies() {
     let refused = taut(&["top"]).stdin(Stdio::null()).output().unwrap();
     assert_eq!(refused.status.code(), Some(2));
     assert!(String::from_utf8(refused.stderr).unwrap().contains("this is no terminal"));
+}
+
+/// As of two nodes of one kind in a process.
+#[test]
+fn callbacks_of_one_name_have_rates_of_their_own() {
+    let here = Here::new(164);
+    let mut node = here.node("twins", "");
+    let mut twin = |topic: &str, messages: u64| {
+        let publisher = node.create_publisher::<UInt64>(topic, Qos::keep_last(50)).unwrap();
+        let taken = node.subscribe::<UInt64>(topic, Qos::keep_last(50)).unwrap();
+        (0..messages).for_each(|data| publisher.publish(&UInt64 { data }).unwrap());
+        let options = CallbackOptions::other().name("twin");
+        let handle = node.spawn_callback(options, taken.for_each(|_| async {})).unwrap();
+        while handle.stats().completions() < messages {
+            std::thread::yield_now();
+        }
+        handle
+    };
+    let _twins = [twin("/busy", 50), twin("/idle", 0)];
+    let shown = here.json(&["top", "--once", "--every", "300ms"]);
+    let callbacks = shown["callbacks"].as_array().unwrap();
+    let jobs: u64 = callbacks.iter().filter_map(|callback| callback["jobs"].as_u64()).sum();
+    assert_eq!((callbacks.len(), jobs), (2, 50), "{shown}");
+    for callback in callbacks {
+        assert_eq!(callback["releases_hz"], 0.0, "neither has a job now: {shown}");
+        assert!(callback["response_p50_ms"].is_null(), "{shown}");
+    }
 }
 
 /// Reads what is drawn until the terminal is as wanted.

@@ -88,7 +88,8 @@ impl CallbackRow {
 /// The values at the previous refresh.
 #[derive(Default)]
 struct Before {
-    callbacks: BTreeMap<(u32, String), (u64, BTreeMap<u64, u64>)>,
+    /// By process, thread and name: several callbacks of a process may have one name.
+    callbacks: BTreeMap<(u32, u32, String), (u64, BTreeMap<u64, u64>)>,
     cores: BTreeMap<usize, CoreTimes>,
 }
 
@@ -161,7 +162,7 @@ impl Gatherer {
             let bounds = self.systems.bounds(&snapshot.process.system_path, snapshot.process.system_hash);
             for callback in snapshot.callbacks.iter().filter(|callback| !callback.ended && !callback.is_group)
             {
-                let key = (snapshot.process.pid, callback.name.clone());
+                let key = (snapshot.process.pid, callback.tid, callback.name.clone());
                 let former = before.callbacks.get(&key);
                 let (bound_ns, capacity) = bounds.get(&callback.name).copied().unwrap_or_default();
                 let ms = |ns: u64| ns as f64 / 1e6;
