@@ -237,6 +237,34 @@ fn what_was_expected_decides_the_exit_code() {
     assert!(code == 1 && words.contains("no message came on '/silent'"), "{words}");
 }
 
+/// As if its process had been restarted.
+#[test]
+fn the_rate_of_a_publisher_that_has_ended_is_not_added_to_that_of_the_next() {
+    let participant = enter(61);
+    let sources: [&[&str]; 2] = [&[], &["--take"]];
+    for more in sources {
+        let start = || {
+            let publisher = publisher(&participant, "/flow", Qos::keep_last(2));
+            flow(publisher, 100.0, message(&json!({})))
+        };
+        let (stop, thread) = start();
+        let args = [&["topic", "hz", "/flow", "--json", "--every", "20ms"], more].concat();
+        let mut hz = Running::start(&mut command(&args));
+        let mut publishers = || serde_json::from_str::<Value>(&hz.line()).unwrap()["publishers"].take();
+        let mut find = |is_it: &dyn Fn(&Value) -> bool| (0..500).map(|_| publishers()).find(is_it);
+        let first = find(&|now| now[0]["messages"].as_u64() > Some(0)).unwrap();
+        stop.send(()).unwrap();
+        thread.join().unwrap();
+        let (stop, thread) = start();
+        let is_next = |now: &Value| now.as_array().unwrap().len() == 1 && now[0]["gid"] != first[0]["gid"];
+        assert!(find(&is_next).is_some(), "{more:?}: the first one is still there");
+        hz.interrupt();
+        assert_eq!(hz.end().0, 0);
+        stop.send(()).unwrap();
+        thread.join().unwrap();
+    }
+}
+
 /// A sensor's driver offers best effort, and may start after its consumers.
 #[test]
 fn delays_are_also_those_of_a_publisher_that_comes_later() {

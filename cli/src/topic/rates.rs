@@ -14,11 +14,11 @@ use crate::verb::{CommonArgs, End, Failure, Outcome, time};
 use clap::Args;
 use indicatif::DecimalBytes;
 use serde_json::{Value, json};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::{self, Write};
 use std::ops::RangeInclusive;
 use std::time::{Duration, Instant};
-use tautline_transport::{EndpointKind, Gid, GraphSnapshot, Sent, Visitor};
+use tautline_transport::{EndpointKind, Gid, GraphSnapshot, Sent, Visitor, graph_of};
 
 /// Below this rate each message is seen separately.
 const SEEN_HZ: f64 = 400.0;
@@ -246,7 +246,7 @@ impl Meter {
                     let Some(sample) = tap.take()? else { return Ok(POLL) };
                     let info = sample.info();
                     let flow = flows.entry(info.publisher_gid).or_insert_with(|| {
-                        let graph = tautline_transport::graph_of(self.domain).unwrap_or_default();
+                        let graph = graph_of(self.domain).unwrap_or_default();
                         let pid = ends(&graph, topic)
                             .find(|end| end.gid == info.publisher_gid)
                             .and_then(|end| end.pid);
@@ -261,6 +261,18 @@ impl Meter {
                 Ok(Duration::ZERO)
             }
         }
+    }
+
+    /// Forgets publishers of this host that have ended, unless all have: if their process was restarted, their rates would be added to those
+    /// of its new publishers.
+    fn forget_ended(&mut self) -> Outcome {
+        let graph = graph_of(self.domain)?;
+        let there: BTreeSet<Gid> = ends(&graph, &self.topic).map(|end| end.gid).collect();
+        let is_there = |gid: &Gid, flow: &Flow| flow.pid.is_none() || there.contains(gid);
+        if self.flows.iter().any(|(gid, flow)| is_there(gid, flow)) {
+            self.flows.retain(|gid, flow| is_there(gid, flow));
+        }
+        Ok(())
     }
 
     /// Now, by the clock of the flows.
@@ -399,6 +411,7 @@ pub fn run(args: &RateArgs, unit: Unit, common: &CommonArgs) -> Outcome {
         let is_last = end.is_reached();
         if is_last || Instant::now() >= next {
             next += args.every;
+            meter.forget_ended()?;
             let mut out = crate::print::stdout();
             if common.json {
                 writeln!(out, "{}", meter.to_json(since))?;
