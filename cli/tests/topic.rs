@@ -237,6 +237,30 @@ fn what_was_expected_decides_the_exit_code() {
     assert!(code == 1 && words.contains("no message came on '/silent'"), "{words}");
 }
 
+/// As of nodes that were built with different definitions.
+#[test]
+fn publishers_of_another_type_are_named() {
+    let participant = enter(62);
+    let qos = Qos::keep_last(1).transient_local();
+    let echo = publisher(&participant, "/mixed", qos);
+    echo.publish(&message(&json!({}))).unwrap();
+    let mut hash = schema().hash().to_string();
+    let last = hash.pop();
+    hash.push(if last == Some('0') { '1' } else { '0' });
+    let other = TopicType::new(schema().name().to_string()).with_hash(hash);
+    for (topic_type, why) in [
+        (TopicType::new("std_msgs/msg/String"), "publishes is left out: its type is "),
+        (other, "publishes is left out: its definition of demo_msgs/msg/Echo is another one"),
+    ] {
+        let _other = participant.create_raw_publisher("/mixed", &topic_type, qos, Limits::default()).unwrap();
+        for verb in [&["delay"][..], &["echo", "--raw"], &["hz", "--take"]] {
+            let args = [&["topic", verb[0], "/mixed", "--timeout", "100ms"], &verb[1..]].concat();
+            let errors = String::from_utf8(run(&args).stderr).unwrap();
+            assert_eq!(errors.matches(why).count(), 1, "{verb:?}: {errors}");
+        }
+    }
+}
+
 /// As if its process had been restarted.
 #[test]
 fn the_rate_of_a_publisher_that_has_ended_is_not_added_to_that_of_the_next() {

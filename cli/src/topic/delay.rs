@@ -2,7 +2,7 @@
 //! `taut topic delay`: the ages of messages at their publication, and the time until they are taken.
 
 use super::sim_clock::SimClock;
-use super::tap::{POLL, ends, wait_for_type};
+use super::tap::{OtherTypes, POLL, ends, wait_for_type};
 use crate::arguments::full_name;
 use crate::compatibility::label;
 use crate::completions;
@@ -127,7 +127,7 @@ pub fn run(args: &DelayArgs, common: &CommonArgs) -> Outcome {
     if let Some(priority) = args.priority {
         set_policy(Policy::Fifo(priority))?;
     }
-    let mut all: BTreeMap<Gid, Ages> = BTreeMap::new();
+    let (mut all, mut other_types) = (BTreeMap::<Gid, Ages>::new(), OtherTypes::default());
     let mut next = Instant::now() + args.every;
     loop {
         seat.drain(|_| {});
@@ -167,6 +167,7 @@ pub fn run(args: &DelayArgs, common: &CommonArgs) -> Outcome {
         let is_last = end.is_reached();
         if is_last || Instant::now() >= next {
             next += args.every;
+            other_types.print_new(&*participant.graph()?, &topic, &topic_type);
             let mut out = crate::print::stdout();
             if common.json {
                 let ages: Json = all.values().map(Ages::to_json).collect();

@@ -2,7 +2,9 @@
 //! Takes a topic's messages for tools: as an observer from publishers on this host; with a subscription from those on other hosts, because
 //! a gateway fetches only subscribed topics.
 
-use crate::verb::{End, Failure, Outcome};
+use crate::compatibility;
+use crate::verb::{End, Failure, Outcome, print_line};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tautline_definitions::{DefinitionError, find_schema};
@@ -31,6 +33,29 @@ pub struct Tap {
     refreshed: Instant,
     /// The losses of previous subscriptions.
     lost: u64,
+    other_types: OtherTypes,
+}
+
+/// The types of a topic whose messages are left out, because they are not of the type that is taken. Each is printed once.
+#[derive(Default)]
+pub struct OtherTypes(BTreeSet<(String, Option<String>)>);
+
+impl OtherTypes {
+    pub fn print_new(&mut self, graph: &GraphSnapshot, topic: &str, taken: &TopicType) {
+        let is_other =
+            |end: &TopicEndpoint| end.kind == EndpointKind::Publisher && !end.topic_type.agrees_with(taken);
+        for end in ends(graph, topic).filter(|end| is_other(end)) {
+            let TopicType { name, hash, .. } = &end.topic_type;
+            if self.0.insert((name.to_string(), hash.as_deref().map(str::to_owned))) {
+                let why = match *name == taken.name {
+                    true => format!("its definition of {name} is another one"),
+                    false => format!("its type is {name}, not {}", taken.name),
+                };
+                let node = compatibility::label(end);
+                print_line(&format!("taut: '{topic}': what {node} publishes is left out: {why}"));
+            }
+        }
+    }
 }
 
 /// The endpoints of a topic.
@@ -64,8 +89,20 @@ impl Tap {
             // Observes the publishers on this host.
             false => participant.create_observer(topic, &topic_type, depth(&graph, topic), limits())?,
         };
+        let mut other_types = OtherTypes::default();
+        other_types.print_new(&graph, topic, &topic_type);
         let (topic, refreshed) = (topic.to_owned(), Instant::now());
-        Ok(Tap { topic, participant, topic_type, subscription, is_seen, epoch, refreshed, lost: 0 })
+        Ok(Tap {
+            topic,
+            participant,
+            topic_type,
+            subscription,
+            is_seen,
+            epoch,
+            refreshed,
+            lost: 0,
+            other_types,
+        })
     }
 
     /// The definition of the topic's type. If only nodes of other hosts have it, the gateway requests it for a topic that is subscribed
@@ -111,15 +148,16 @@ impl Tap {
         self.is_seen
     }
 
-    /// Subscribes if a publisher on another host has appeared.
+    /// Looks for publishers that have appeared, and subscribes if one of them is on another host.
     fn refresh(&mut self) -> Outcome {
         self.refreshed = Instant::now();
         let epoch = self.participant.graph_epoch();
-        if epoch == std::mem::replace(&mut self.epoch, epoch) || self.is_seen {
+        if epoch == std::mem::replace(&mut self.epoch, epoch) {
             return Ok(());
         }
         let graph = self.participant.graph()?;
-        if is_elsewhere(&graph, &self.topic, &self.topic_type) {
+        self.other_types.print_new(&graph, &self.topic, &self.topic_type);
+        if !self.is_seen && is_elsewhere(&graph, &self.topic, &self.topic_type) {
             let depth = depth(&graph, &self.topic);
             let subscription = subscribe(&self.participant, &graph, &self.topic, &self.topic_type, depth)?;
             self.lost += self.subscription.counters().lost();
