@@ -220,6 +220,12 @@ fn a_file_without_a_version_is_migrated_and_a_newer_one_is_refused() {
     assert_eq!((out.status.code(), json), (Some(0), nothing));
     assert_eq!(std::fs::read_to_string(&path).unwrap(), migrated);
 
+    let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
+    let mut check = Command::new(env!("CARGO_BIN_EXE_taut"));
+    let out = check.args(["check", "--migrate"]).current_dir(&directory).stdout(full).output().unwrap();
+    let words = text(&out.stderr);
+    assert!(out.status.code() == Some(2) && words.contains("the result cannot be printed"), "{words}");
+
     let newer = migrated.replace("version = 1", "version = 7") + "colour = 1\n";
     let refusal = "the file is of version 7, and this Tautline reads version 1: use the newer Tautline that it was written for";
     for (args, said) in [

@@ -465,6 +465,13 @@ fn messages_are_published_by_hand() {
     assert_eq!(publishing.end().0, 0);
     echo.interrupt();
 
+    // What it did cannot be told.
+    let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
+    let mut publishing = command(&["topic", "pub", "/full", "std_msgs/msg/String", "-n", "1", "--json"]);
+    let output = publishing.stdout(full).output().unwrap();
+    let words = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(2) && words.contains("the result cannot be printed"), "{words}");
+
     let (code, words) = refused(&["topic", "pub", "/new", "{data: 1}", "--once"]);
     assert!(code == 2 && words.contains("the type of '/new' is not known"), "{words}");
     let (code, words) = refused(&["topic", "pub", "/new", "std_msgs/msg/Strin", "--once"]);

@@ -64,9 +64,10 @@ pub fn run(args: &CheckArgs) -> Outcome<ExitCode> {
     if args.migrate {
         let migration = Migration::of_file(&args.file)
             .map_err(|reason| Failure::unusable(format!("`{path}` is not migrated: {reason}")))?;
+        let mut out = crate::print::stdout();
         match args.json {
-            true => println!("{}", migration.to_json(&args.file)),
-            false => println!("{}", migration.to_text(&args.file)),
+            true => writeln!(out, "{}", migration.to_json(&args.file))?,
+            false => writeln!(out, "{}", migration.to_text(&args.file))?,
         }
         return Ok(ExitCode::SUCCESS);
     }

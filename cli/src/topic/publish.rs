@@ -8,6 +8,7 @@ use crate::times::Times;
 use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::{Args, ValueEnum};
 use serde_json::json;
+use std::io::Write;
 use std::sync::Arc;
 use std::time::Duration;
 use tautline::{Context, Json, Node, Publisher, Qos, Realtime};
@@ -117,11 +118,10 @@ pub fn run(args: &PubArgs, common: &CommonArgs) -> Outcome {
     }
     let count = if args.once { Some(1) } else { args.count };
     let late = send(args, &publisher, message, count, &end)?;
+    let mut printed = Ok(());
     if common.json {
-        println!(
-            "{}",
-            json!({ "topic": topic, "type": type_name, "published": late.count(), "late_ms": late.to_json() })
-        );
+        let report = json!({ "topic": topic, "type": type_name, "published": late.count(), "late_ms": late.to_json() });
+        printed = writeln!(crate::print::stdout(), "{report}");
     } else if let Some([p50, p99, max]) = late.ms().filter(|_| late.count() > 1) {
         eprintln!(
             "taut: published {} messages on '{topic}', late by {p50:.3} ms (p50), {p99:.3} (p99), {max:.3} at most",
@@ -130,7 +130,7 @@ pub fn run(args: &PubArgs, common: &CommonArgs) -> Outcome {
     }
     match count.filter(|count| late.count() < *count) {
         Some(count) => Err(Failure::no(format!("{} of {count} messages were published", late.count()))),
-        None => Ok(()),
+        None => Ok(printed?),
     }
 }
 
