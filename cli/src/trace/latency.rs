@@ -149,7 +149,10 @@ fn table(rows: &[Row], mut to: &mut dyn Write) -> io::Result<()> {
         ];
         for (index, (what, of)) in parts.into_iter().enumerate() {
             let first = |text: &str| if index == 0 { text.to_owned() } else { String::new() };
-            let at = |quantile: f64| format!("{:.1}", us(of.value_at_quantile(quantile)));
+            let at = |quantile: f64| match of.is_empty() {
+                true => "-".to_owned(),
+                false => format!("{:.1}", us(of.value_at_quantile(quantile))),
+            };
             let lost = row.messages_lost.map_or_else(|| "-".to_owned(), |lost| lost.to_string());
             let line = vec![
                 first(&row.callback),
@@ -159,7 +162,7 @@ fn table(rows: &[Row], mut to: &mut dyn Write) -> io::Result<()> {
                 at(0.5),
                 at(0.99),
                 at(0.999),
-                format!("{:.1}", us(of.max())),
+                at(1.0),
                 first(&lost),
             ];
             lines.push((true, line));
@@ -174,4 +177,35 @@ fn table(rows: &[Row], mut to: &mut dyn Write) -> io::Result<()> {
         )?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_not_measured_is_no_latency_of_zero() {
+        let mut row = Row {
+            pid: 7,
+            process: "robot".into(),
+            thread: "cb:scan".into(),
+            callback: "scan".into(),
+            topic: Some("/scan".into()),
+            to_start: histogram(),
+            to_end: histogram(),
+            duration: histogram(),
+            unmatched: 1,
+            messages_lost: Some(0),
+        };
+        record(&mut row.duration, 1_000, Some(3_000));
+        let mut text = Vec::new();
+        table(&[row], &mut text).unwrap();
+        let text = String::from_utf8(text).unwrap();
+        let cells = |what: &str| {
+            let line = text.lines().find(|line| line.contains(what)).unwrap();
+            line.split(what).nth(1).unwrap().split_whitespace().take(5).collect::<Vec<_>>().join(" ")
+        };
+        assert_eq!(cells("publish to start"), "0 - - - -", "{text}");
+        assert_eq!(cells("duration"), "1 2.0 2.0 2.0 2.0", "{text}");
+    }
 }
