@@ -60,16 +60,23 @@ pub fn run(args: &InitArgs) -> Outcome<ExitCode> {
     }
     let refuse = |error: trace::TraceError| Failure::unusable(error.to_string());
     let (recording, overheads) = match &args.from_trace {
+        Some(_) if args.common.is_domain_named() => return Err(refuse(trace::TraceError::DomainOfRecording)),
         Some(trace) => (trace::file::read(trace).map_err(refuse)?, Vec::new()),
         None => (observe(args).map_err(refuse)?, measured_lines(args.common.domain()?)?),
     };
     recording.warnings.iter().for_each(|warning| eprintln!("taut: warning: {warning}"));
     let described = running::describe(&recording, &overheads);
     if described.callbacks == 0 {
-        return Err(Failure::no(format!(
-            "no callback ran while the domain was observed, so there is nothing to describe; longer: --seconds {}",
-            args.seconds.as_secs().saturating_mul(6)
-        )));
+        return Err(Failure::no(match &args.from_trace {
+            Some(trace) => format!(
+                "no callback ran in {}, so there is nothing to describe: record for longer, or while the nodes work",
+                trace.display()
+            ),
+            None => format!(
+                "no callback ran while the domain was observed, so there is nothing to describe; longer: --seconds {}",
+                args.seconds.as_secs().max(1).saturating_mul(6)
+            ),
+        }));
     }
     write(&args.file, &described.text)?;
     let running::Described { callbacks, guesses, .. } = described;
@@ -98,12 +105,13 @@ fn print(args: &InitArgs, counts: Option<(usize, usize)>, words: &str) -> io::Re
 
 fn observe(args: &InitArgs) -> Result<trace::recording::Recording, trace::TraceError> {
     let domain = args.common.domain().map_err(trace::TraceError::Domain)?;
-    let mut end = End::after(Some(args.seconds)).map_err(trace::TraceError::Signal)?;
+    let time = args.common.timeout().map_or(args.seconds, |timeout| timeout.min(args.seconds));
+    let mut end = End::after(Some(time)).map_err(trace::TraceError::Signal)?;
     // A new folder, in which no other user can have put a file.
     let folder = std::env::temp_dir().join(format!("taut-init-{}", std::process::id()));
     let refuse = |source| trace::TraceError::Write { path: folder.clone(), source };
     std::fs::DirBuilder::new().mode(0o700).create(&folder).map_err(refuse)?;
-    let (file, begun) = (folder.join("trace"), format!("observing domain {domain} for {:?}", args.seconds));
+    let (file, begun) = (folder.join("trace"), format!("observing domain {domain} for {time:?}"));
     let recorded = record::record(&file, domain, &mut end, args.common.json, &begun);
     let recording = recorded.and_then(|_| trace::file::read(&file));
     let _ = std::fs::remove_dir_all(&folder);
@@ -119,6 +127,6 @@ fn write(path: &Path, text: &str) -> Outcome {
     let written = OpenOptions::new().write(true).create_new(true).open(path);
     written.and_then(|mut file| file.write_all(text.as_bytes())).map_err(|error| match error.kind() {
         ErrorKind::AlreadyExists => exists(path),
-        _ => Failure::no(format!("{} cannot be written: {error}", path.display())),
+        _ => Failure::unusable(format!("{} cannot be written: {error}", path.display())),
     })
 }

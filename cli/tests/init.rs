@@ -99,6 +99,26 @@ fn what_runs_becomes_a_file() {
 }
 
 #[test]
+fn no_option_is_ignored() {
+    let here = Here::new(92);
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (trace, file) = (path("run.trace"), path("robot.toml"));
+    // The shorter time ends them.
+    here.taut(&["trace", "record", "--seconds", "1h", "--timeout", "10ms", "--out", &trace]);
+    let (code, _, words) =
+        here.refused(&["init", "--from-running", "--seconds", "1h", "--timeout", "10ms", &file]);
+    assert!(code == 1 && words.contains("observing domain 92 for 10ms"), "{words}");
+
+    let (code, _, words) = here.refused(&["init", "--from-trace", &trace, &file]);
+    assert!(code == 1 && words.contains("run.trace, so there is nothing to describe: record"), "{words}");
+    let (code, _, words) = here.refused(&["init", "--from-trace", &trace, "--domain", "7", &file]);
+    assert!(code == 2 && words.contains("a recording contains its domain"), "{words}");
+    let (code, _, words) = here.refused(&["init", &path("none/robot.toml")]);
+    assert!(code == 2 && words.contains("cannot be written"), "{words}");
+}
+
+#[test]
 fn a_path_may_have_any_bytes() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join(OsStr::from_bytes(b"r\xff.toml"));

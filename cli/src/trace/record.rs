@@ -48,7 +48,8 @@ pub struct Sum {
 
 pub fn run(args: &RecordArgs, common: &CommonArgs) -> Result<(), TraceError> {
     let domain = common.domain().map_err(TraceError::Domain)?;
-    let mut end = End::after(args.seconds.or(common.timeout())).map_err(TraceError::Signal)?;
+    let time = [args.seconds, common.timeout()].into_iter().flatten().min();
+    let mut end = End::after(time).map_err(TraceError::Signal)?;
     let until = if end.timeout().is_none() { ", until Ctrl-C" } else { "" };
     let begun = format!("recording domain {domain} into {}{until}", args.out.display());
     let (sum, time) = record(&args.out, domain, &mut end, common.json, &begun)?;
