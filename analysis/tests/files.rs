@@ -6,7 +6,7 @@ use std::time::Instant;
 use rand::RngExt;
 use tautline_analysis::Reservation;
 use tautline_analysis::file::{
-    CheckedCallback, CheckedSystem, JoinPolicy, LinkPriority, OverrunPolicy, SystemFile, WakeUp,
+    CheckedCallback, CheckedSystem, Executor, JoinPolicy, LinkPriority, OverrunPolicy, SystemFile, WakeUp,
 };
 
 /// A system without problems, to which the tests add some.
@@ -230,6 +230,8 @@ fn the_schema_knows_what_the_reader_knows() {
     }
     let overruns = schema.pointer("/definitions/callback/properties/overrun/enum").unwrap();
     assert_eq!(*overruns, serde_json::json!(OverrunPolicy::ALL.map(OverrunPolicy::as_str)));
+    let executors = schema.pointer("/definitions/node/properties/executor/enum").unwrap();
+    assert_eq!(*executors, serde_json::json!(Executor::ALL.map(Executor::as_str)));
     let policies = schema.pointer("/definitions/callback/properties/policy/enum").unwrap();
     assert_eq!(*policies, serde_json::json!(JoinPolicy::NAMED.map(JoinPolicy::as_str)));
 }

@@ -39,6 +39,8 @@ pub enum Job {
     Apart,
     /// What takes the place of `taut` and other programs of the tests' build: meanwhile nobody runs these.
     Variants,
+    /// What has builds of its own: meanwhile the other distribution's tests wait for processes, and nothing is measured.
+    Others,
 }
 
 impl Job {
@@ -69,6 +71,11 @@ impl Job {
             Job::Variants => {
                 fuzz::run(&mut steps, fuzz::RUNS_IN_CI, &[]);
                 lttng::test(&mut steps);
+            }
+            Job::Others => {
+                miri(&mut steps);
+                steps.step("versions", release::beside_another_version);
+                steps.step("semver", || release::semver(false));
             }
         }
         steps
@@ -120,13 +127,12 @@ pub fn run(steps: &mut Steps, scope: &Scope) {
         steps.skip("what runs in the tests' build", "not built");
     }
     // The library of the build is Kilted's from here on. Its tests have threads of real-time priorities, beside which nothing is measured.
+    let others = Job::Others.start();
     ros::choose(Distribution::Kilted);
     let has_rmw = rmw::test(steps);
     dist::test_rmw(steps, has_rmw);
     bridge::test(steps);
-    miri(steps);
-    steps.step("versions", release::beside_another_version);
-    steps.step("semver", || release::semver(false));
+    steps.join(others);
     test::leftovers(steps, scope);
 }
 
@@ -192,7 +198,9 @@ fn examples_by_themselves(steps: &mut Steps) {
 /// What a Raspberry Pi 5 or a Jetson runs, as far as compiler and linker can tell; `cargo xtask guests` runs it on emulated machines.
 fn for_aarch64(steps: &mut Steps) {
     steps.step("for aarch64", || {
-        let mut command = cargo("build --locked -p tautline -p taut");
+        let mut command = cargo("build --locked --release -p tautline -p taut");
+        // It is not run here.
+        command.env("CARGO_PROFILE_RELEASE_OPT_LEVEL", "0");
         execute(guests::debian::cross(&mut command, guests::Architecture::Arm64)?)
     });
 }

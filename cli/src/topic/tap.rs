@@ -3,7 +3,7 @@
 //! a gateway fetches only subscribed topics.
 
 use crate::compatibility;
-use crate::verb::{End, Failure, Outcome, print_line};
+use crate::verb::{End, Failure, Outcome};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -52,7 +52,7 @@ impl OtherTypes {
                     false => format!("its type is {name}, not {}", taken.name),
                 };
                 let node = compatibility::label(end);
-                print_line(&format!("taut: '{topic}': what {node} publishes is left out: {why}"));
+                eprintln!("taut: '{topic}': what {node} publishes is left out: {why}");
             }
         }
     }

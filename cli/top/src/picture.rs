@@ -85,11 +85,13 @@ impl CallbackRow {
     }
 }
 
+/// Process, thread and name of a callback: several of a process may have one name.
+type CallbackKey = (u32, u32, String);
+
 /// The values at the previous refresh.
 #[derive(Default)]
 struct Before {
-    /// By process, thread and name: several callbacks of a process may have one name.
-    callbacks: BTreeMap<(u32, u32, String), (u64, BTreeMap<u64, u64>)>,
+    callbacks: BTreeMap<CallbackKey, (u64, BTreeMap<u64, u64>)>,
     cores: BTreeMap<usize, CoreTimes>,
 }
 
