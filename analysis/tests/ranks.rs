@@ -3,7 +3,7 @@
 //! schedule that is worked out by hand; runtime.rs has random systems.
 
 use std::fmt::Write;
-use tautline_analysis::file::SystemFile;
+use tautline_analysis::file::{CallbackEntry, SystemFile, ThreadPriority};
 
 /// A callback of the group; times in microseconds.
 #[derive(Debug)]
@@ -177,4 +177,66 @@ fn ranks_are_of_executors_of_ros() {
         "priority = 6\n",
         "callback `g1` is a timer, which the executor of group `g` runs after its next wait",
     );
+}
+
+/// A thread of `client` nodes that has its callbacks' priorities, 30 and 10, with a timer.
+fn lowered() -> String {
+    "[hosts.robot]\ncores = 1\n[nodes.n]\nclient = \"rclcpp\"\n[nodes.o]\n\
+     [topics.\"/a\"]\nperiod = \"10ms\"\n[topics.\"/b\"]\nperiod = \"20ms\"\n\
+     [groups.g]\norder = \"priority\"\nthread_priority = \"callback\"\n\
+     [callbacks.high]\nnode = \"n\"\ngroup = \"g\"\ntopic = \"/a\"\nwcet = \"1ms\"\npriority = 30\n\
+     [callbacks.low]\nnode = \"n\"\ngroup = \"g\"\ntopic = \"/b\"\nwcet = \"2ms\"\npriority = 10\n\
+     [callbacks.tick]\nnode = \"n\"\ngroup = \"g\"\nperiod = \"40ms\"\nwcet = \"1ms\"\n\
+     [callbacks.own]\nnode = \"o\"\nperiod = \"20ms\"\nwcet = \"1ms\"\npriority = 20\n"
+        .to_owned()
+}
+
+#[test]
+fn a_thread_may_have_the_priorities_of_its_callbacks() {
+    let file = SystemFile::parse(&lowered()).unwrap_or_else(|problems| panic!("{problems}"));
+    let of = |entry: &CallbackEntry| {
+        (entry.name.clone(), entry.thread_priority, entry.priority, entry.running_priority())
+    };
+    let found: Vec<_> = file.callbacks().iter().map(of).collect();
+    let expected = [
+        ("high", ThreadPriority::Callback, 30, 30),
+        ("low", ThreadPriority::Callback, 30, 10),
+        ("tick", ThreadPriority::Callback, 30, 30),
+        ("own", ThreadPriority::Group, 20, 20),
+    ];
+    assert_eq!(found, expected.map(|(name, of, ceiling, own)| (name.to_owned(), of, ceiling, own)));
+    let group =
+        lowered().replace("thread_priority = \"callback\"", "thread_priority = \"group\"\npriority = 40");
+    let file = SystemFile::parse(&group).unwrap_or_else(|problems| panic!("{problems}"));
+    assert!(file.callbacks()[..3].iter().all(|entry| (entry.priority, entry.running_priority()) == (40, 40)));
+}
+
+#[test]
+fn what_contradicts_the_priorities_of_callbacks_is_refused() {
+    let wrong = |from: &str, to: &str, why: &str| {
+        assert!(lowered().contains(from), "{from}");
+        let error = SystemFile::parse(&lowered().replacen(from, to, 1)).unwrap_err().to_string();
+        assert!(error.contains(why), "{error}");
+        assert_eq!(error.lines().count(), 1, "{error}");
+    };
+    let choice = "thread_priority = \"callback\"\n";
+    wrong(choice, &format!("{choice}priority = 40\n"), "leave out one of them");
+    wrong(choice, "", "give it a `priority`, too, that of its thread, or `thread_priority = \"callback\"`");
+    wrong("\"callback\"", "\"callbacks\"", "unknown `thread_priority` \"callbacks\"");
+    wrong("order = \"priority\"\n", "", "needs `order = \"priority\"`: add that, or leave out");
+    wrong(
+        "priority = 10\n",
+        "",
+        "callback `low` of group `g` has no `priority`, by which the group's callbacks are ordered, and which",
+    );
+    wrong("priority = 10\n", "priority = 0\n", "is 0, out of range: set it to 1 (lowest) to 99");
+    wrong("priority = 10\n", "priority = 100\n", "is 100, out of range: set it to 1 (lowest) to 99");
+    // Another thread of the core may have none of its priorities by accident.
+    wrong("priority = 20\n", "priority = 10\n", "`g` and `own` have priority 10 on one core");
+    wrong("priority = 20\n", "priority = 30\n", "`g` and `own` have priority 30 on one core");
+    let timers = "[hosts.robot]\ncores = 1\n[nodes.n]\nclient = \"rclcpp\"\n\
+                  [groups.g]\norder = \"priority\"\nthread_priority = \"callback\"\n\
+                  [callbacks.tick]\ngroup = \"g\"\nperiod = \"40ms\"\nwcet = \"1ms\"\n";
+    let error = SystemFile::parse(timers).unwrap_err().to_string();
+    assert!(error.contains("but only timers"), "{error}");
 }

@@ -6,8 +6,8 @@ use std::fmt;
 use std::time::Duration;
 
 use super::{
-    CallbackEntry, CheckedSystem, Client, CoreEntry, Executor, JoinPolicy, OverrunPolicy, SystemFile, WakeUp,
-    locks, reservations,
+    CallbackEntry, CheckedSystem, Client, CoreEntry, Executor, JoinPolicy, OverrunPolicy, SystemFile,
+    ThreadPriority, WakeUp, locks, reservations,
 };
 use crate::system::{Callback, Core, Relay};
 use crate::{Overheads, Reservation, Task};
@@ -344,6 +344,7 @@ impl Union {
                 group: None,
                 core,
                 priority,
+                thread_priority: ThreadPriority::Group,
                 wake_up: WakeUp::Sampler("as far as is known: it is in no file"),
                 rank: None,
                 reservation: thread.reservation,

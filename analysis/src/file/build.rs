@@ -16,7 +16,10 @@ use super::sections;
 use super::streams::{First, Source, Streams};
 use super::version;
 use super::wake::{self, WakeUp};
-use super::{CallbackEntry, Client, CoreEntry, Executor, JoinPolicy, OverrunPolicy, SystemFile, TopicEntry};
+use super::{
+    CallbackEntry, Client, CoreEntry, Executor, JoinPolicy, OverrunPolicy, SystemFile, ThreadPriority,
+    TopicEntry,
+};
 use crate::system::{Callback, Chain, Core, Matching, Part, Relay, System, Transfer, Unbounded};
 use crate::{Hold, Order, Overheads, Rank, Release, Task, Throttling};
 
@@ -466,6 +469,9 @@ impl Builder<'_> {
             group: self.threads[thread].group.map(|group| self.file.groups[group].name.clone()),
             core: self.places[index].core,
             priority: self.threads[thread].priority.unwrap_or(1),
+            thread_priority: self.threads[thread]
+                .group
+                .map_or(ThreadPriority::Group, |group| self.file.groups[group].thread_priority()),
             wake_up: self.wake_ups[thread],
             rank: self.rank(index, thread),
             topics: declared.topics.iter().map(|topic| topic.value.clone()).collect(),
@@ -554,11 +560,33 @@ fn orders(file: &Declared, places: &[Option<Place>], threads: &[Thread], problem
                     executor.as_str()
                 ));
             }
-            Some(At { value: Order::Priority, at }) if group.priority.is_none() => problems.at(*at).add(format!(
-                "group `{name}` orders its callbacks by their priorities: give it a `priority`, too, that of its \
-                 thread"
-            )),
+            Some(At { value: Order::Priority, at })
+                if group.priority.is_none() && !group.has_priority_of_callback() =>
+            {
+                problems.at(*at).add(format!(
+                    "group `{name}` orders its callbacks by their priorities: give it a `priority`, too, that of its \
+                     thread, or `thread_priority = \"callback\"`"
+                ));
+            }
             _ => {}
+        }
+        if let Some(At { value: ThreadPriority::Callback, at }) = group.thread_priority {
+            let has_message = thread.callbacks.iter().any(|i| !file.callbacks[*i].topics.is_empty());
+            match &group.priority {
+                _ if !group.is_ranked() => problems.at(at).add(format!(
+                    "group `{name}` has `thread_priority = \"callback\"`, which needs `order = \"priority\"`: add \
+                     that, or leave out `thread_priority`"
+                )),
+                Some(priority) => problems.at(priority.at).add(format!(
+                    "group `{name}` has a `priority`, but with `thread_priority = \"callback\"` its thread has those of its \
+                     callbacks: leave out one of them"
+                )),
+                None if !has_message => problems.at(at).add(format!(
+                    "group `{name}` has `thread_priority = \"callback\"`, but only timers, which have no priority of their \
+                     own: give the group a `priority` instead"
+                )),
+                None => {}
+            }
         }
         for callback in thread.callbacks.iter().map(|i| &file.callbacks[*i]).filter(|_| group.is_ranked()) {
             let of = &callback.name;
@@ -568,7 +596,9 @@ fn orders(file: &Declared, places: &[Option<Place>], threads: &[Thread], problem
                      is reported: leave out its `priority`"
                 )),
                 None if !callback.topics.is_empty() => problems.at(callback.at).add(format!(
-                    "callback `{of}` of group `{name}` has no `priority`, by which the group's callbacks are ordered"
+                    "callback `{of}` of group `{name}` has no `priority`, by which the group's callbacks are ordered{}: add \
+                     one, 1 (lowest) to 99",
+                    if group.has_priority_of_callback() { ", and which its thread then has" } else { "" }
                 )),
                 _ => {}
             }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The file as it is written: every section with its positions in the text, before names are resolved.
 use super::reader::At;
-use super::{Client, Executor, JoinPolicy, LinkPriority, OverrunPolicy};
+use super::{Client, Executor, JoinPolicy, LinkPriority, OverrunPolicy, ThreadPriority};
 use crate::{LockProtocol, Order, Reservation};
 
 /// How priorities are chosen for callbacks that name none.
@@ -60,6 +60,7 @@ pub(super) struct Group {
     pub at: usize,
     pub order: Option<At<Order>>,
     pub priority: Option<At<u8>>,
+    pub thread_priority: Option<At<ThreadPriority>>,
     /// Whether publishers wake its thread, if that is stated.
     pub direct_wake: Option<At<bool>>,
 }
@@ -74,6 +75,16 @@ impl Group {
     /// Whether its thread runs the callback with the highest priority first.
     pub fn is_ranked(&self) -> bool {
         self.order.as_ref().is_some_and(|order| order.value == Order::Priority)
+    }
+
+    /// Which priority its thread has.
+    pub fn thread_priority(&self) -> ThreadPriority {
+        self.thread_priority.as_ref().map_or(ThreadPriority::Group, |priority| priority.value)
+    }
+
+    /// Whether its thread has the priority of the callback that it runs.
+    pub fn has_priority_of_callback(&self) -> bool {
+        self.is_ranked() && self.thread_priority() == ThreadPriority::Callback
     }
 }
 

@@ -80,8 +80,10 @@ pub struct CallbackEntry {
     pub group: Option<String>,
     /// Index of its core in [`SystemFile::cores`].
     pub core: usize,
-    /// SCHED_FIFO priority of the thread, 1 to 99, or [`Reservation::PRIORITY`].
+    /// SCHED_FIFO priority of the thread, 1 to 99, or [`Reservation::PRIORITY`]; with [`ThreadPriority::Callback`] the ceiling.
     pub priority: u8,
+    /// Which priority the thread has while it runs the callback.
+    pub thread_priority: ThreadPriority,
     /// Who wakes its thread.
     pub wake_up: WakeUp,
     /// Its rank in a group with `order = "priority"`: the highest of the waiting callbacks runs next. Timers have none.
@@ -112,6 +114,41 @@ pub struct CallbackEntry {
     /// Its tasks in [`SystemFile::system`]: one for each way that messages reach it; if it joins, before them the one that runs when
     /// all are there.
     pub tasks: Range<usize>,
+}
+
+impl CallbackEntry {
+    /// SCHED_FIFO priority of the thread while it runs the callback, or [`Reservation::PRIORITY`]. It is below the ceiling, `priority`, at
+    /// most with [`ThreadPriority::Callback`]; timers, which the RMW does not see, run at the ceiling.
+    pub fn running_priority(&self) -> u8 {
+        match self.thread_priority {
+            ThreadPriority::Callback => self.rank.unwrap_or(self.priority),
+            ThreadPriority::Group => self.priority,
+        }
+    }
+}
+
+/// Which priority the thread of a group has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum ThreadPriority {
+    /// The group's.
+    #[default]
+    Group,
+    /// That of the callback that it runs. While it waits, and while timers and the executor run, it has the ceiling: the highest priority of
+    /// the group's callbacks.
+    Callback,
+}
+
+impl ThreadPriority {
+    /// All of them.
+    pub const ALL: [ThreadPriority; 2] = [ThreadPriority::Group, ThreadPriority::Callback];
+
+    /// Its name in the file.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            ThreadPriority::Group => "group",
+            ThreadPriority::Callback => "callback",
+        }
+    }
 }
 
 /// A topic of a system file.

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Threads and their priorities.
-use super::Client;
-use super::declared::{Declared, Policy};
+use super::declared::{Callback, Declared, Group, Policy};
 use super::places::Place;
 use super::problem::Collector;
+use super::{Client, ThreadPriority};
 use crate::{AnalysisError, Overheads, Reservation, Task, assign};
 
 /// One thread: a callback, or a group of them.
@@ -11,8 +11,29 @@ pub(super) struct Thread {
     pub name: String,
     pub core: usize,
     pub callbacks: Vec<usize>,
+    /// Its priority while it waits.
     pub priority: Option<u8>,
     pub group: Option<usize>,
+}
+
+impl Thread {
+    /// All priorities that it has at times.
+    fn priorities(&self, file: &Declared) -> Vec<u8> {
+        let has_several = self.group.is_some_and(|group| file.groups[group].has_priority_of_callback());
+        let own = self.callbacks.iter().filter(|_| has_several);
+        let own = own.filter_map(|i| file.callbacks[*i].priority.as_ref().map(|priority| priority.value));
+        own.chain(self.priority).collect()
+    }
+}
+
+/// Returns the priority of a group's thread while it waits: what the group states, or its ceiling.
+fn of_group(file: &Declared, group: usize) -> Option<u8> {
+    let group = &file.groups[group];
+    if !group.has_priority_of_callback() {
+        return group.priority.as_ref().map(|priority| priority.value);
+    }
+    let is_member = |callback: &&Callback| callback.group.as_ref().is_some_and(|of| of.value == group.name);
+    file.callbacks.iter().filter(is_member).filter_map(|of| Some(of.priority.as_ref()?.value)).max()
 }
 
 /// Joins callbacks to threads, and checks groups and the priorities that the file states.
@@ -35,10 +56,12 @@ pub(super) fn threads(file: &Declared, places: &[Option<Place>], problems: &Coll
         let Some(place) = places[i] else { continue };
         let reserved = callback.reservation.as_ref().map(|_| Reservation::PRIORITY);
         let stated = reserved.or(callback.priority.as_ref().map(|priority| priority.value));
-        let of_group = group.and_then(|g| file.groups[g].priority.as_ref().map(|p| p.value));
+        let of_group = group.and_then(|group| of_group(file, group));
         let known = group.and_then(|g| threads.iter_mut().find(|thread| thread.group == Some(g)));
-        // In a ranked group a callback's own priority is its rank, and the group's is the thread's.
-        let stated = if group.is_some_and(|g| file.groups[g].is_ranked()) { None } else { stated };
+        // In a ranked group a callback's own priority is its rank, whichever the thread's is.
+        let is_rank =
+            |group: &Group| group.is_ranked() || group.thread_priority() == ThreadPriority::Callback;
+        let stated = if group.is_some_and(|g| is_rank(&file.groups[g])) { None } else { stated };
         let Some(thread) = known else {
             let (priority, callbacks) = (of_group.or(stated), vec![i]);
             threads.push(Thread { name: name.clone(), core: place.core, callbacks, priority, group });
@@ -90,15 +113,23 @@ pub(super) fn threads(file: &Declared, places: &[Option<Place>], problems: &Coll
 /// Checks that threads share a priority on a core only if both say so.
 fn duplicates(file: &Declared, threads: &[Thread], problems: &Collector) {
     let agrees = |thread: &Thread| thread.callbacks.iter().any(|i| file.callbacks[*i].shares_priority);
+    // Reservations have rules of their own.
+    let priorities = |thread: &Thread| {
+        let mut priorities = thread.priorities(file);
+        priorities.retain(|priority| *priority < Reservation::PRIORITY);
+        priorities
+    };
+    let all: Vec<Vec<u8>> = threads.iter().map(priorities).collect();
     for (i, thread) in threads.iter().enumerate() {
-        let same = |other: &&Thread| other.core == thread.core && other.priority == thread.priority;
-        // Reservations have rules of their own.
-        let shares = |priority| priority < Reservation::PRIORITY;
-        let earlier = threads[..i].iter().filter(|_| thread.priority.is_some_and(shares)).find(same);
-        let Some(other) = earlier.filter(|other| !(agrees(other) && agrees(thread))) else { continue };
+        let same = |other: usize| all[other].iter().copied().find(|priority| all[i].contains(priority));
+        let mut earlier = (0..i).filter(|other| threads[*other].core == thread.core);
+        let Some((other, priority)) = earlier.find_map(|other| Some((other, same(other)?))) else { continue };
+        let other = &threads[other];
+        if agrees(other) && agrees(thread) {
+            continue;
+        }
         let callback = &file.callbacks[thread.callbacks[0]];
-        let (at, priority) =
-            (callback.priority.as_ref().map_or(callback.at, |p| p.at), thread.priority.unwrap_or(0));
+        let at = callback.priority.as_ref().map_or(callback.at, |p| p.at);
         problems.at(at).add(format!(
             "`{}` and `{}` have priority {priority} on one core: give them different ones, or say `shares_priority = \
              true` in both if you mean it",
@@ -120,7 +151,7 @@ pub(super) fn choose(
     if open.is_empty() {
         return Ok(None);
     }
-    let taken: Vec<u8> = owner.iter().filter_map(|thread| threads[*thread].priority).collect();
+    let taken: Vec<u8> = owner.iter().flat_map(|thread| threads[*thread].priorities(file)).collect();
     let free: Vec<u8> = (1..=file.highest).rev().filter(|priority| !taken.contains(priority)).collect();
     let candidates: Vec<Task> = open.iter().map(|i| tasks[*i].clone()).collect();
     let levels = u8::try_from(free.len()).unwrap_or(file.highest);

@@ -2,7 +2,7 @@
 //! Reads the sections of the file: their keys, and the values allowed for each.
 use super::declared::{Callback, Chain, Costs, Declared, Group, Host, Node, Policy, Topic};
 use super::reader::{At, Section};
-use super::{Client, Executor, JoinPolicy, LinkPriority, OverrunPolicy};
+use super::{Client, Executor, JoinPolicy, LinkPriority, OverrunPolicy, ThreadPriority};
 use crate::{LockProtocol, Order, Reservation};
 use toml::de::DeValue;
 
@@ -221,9 +221,11 @@ fn group(name: String, mut section: Section<'_>) -> Group {
     let orders = [("fifo", Order::Fifo), ("any", Order::Any), ("priority", Order::Priority)];
     let order = section.choice("order", &orders);
     let priority = priority(&mut section, "priority");
+    let thread_priorities = ThreadPriority::ALL.map(|priority| (priority.as_str(), priority));
+    let thread_priority = section.choice("thread_priority", &thread_priorities);
     let (direct_wake, at) = (direct_wake(&mut section), section.at);
     section.finish();
-    Group { name, at, order, priority, direct_wake }
+    Group { name, at, order, priority, thread_priority, direct_wake }
 }
 
 fn callback(name: String, mut section: Section<'_>) -> Callback {
