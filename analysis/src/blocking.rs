@@ -44,7 +44,7 @@ pub enum LockProtocol {
 /// assert_eq!(blocking(&tasks, &sections, LockProtocol::PriorityInheritance), [37, 30, 0]);
 /// ```
 pub fn blocking(tasks: &[Task], sections: &[CriticalSection], protocol: LockProtocol) -> Vec<u64> {
-    let priority = |section: &CriticalSection| tasks.get(section.task).map(|task| task.priority);
+    let priority = |section: &CriticalSection| tasks.get(section.task).map(Task::highest);
     let ceiling = |resource| sections.iter().filter(|s| s.resource == resource).filter_map(priority).max();
     let of_task = |(index, task): (usize, &Task)| {
         let is_own = |other: usize| {
@@ -54,10 +54,10 @@ pub fn blocking(tasks: &[Task], sections: &[CriticalSection], protocol: LockProt
         let is_lower = |s: &CriticalSection| {
             let holder = tasks.get(s.task).filter(|_| !is_own(s.task));
             holder.is_some_and(|holder| {
-                holder.priority < task.priority || matches!(holder.hold, Hold::Demoted { .. })
+                holder.lowest() < task.lowest() || matches!(holder.hold, Hold::Demoted { .. })
             })
         };
-        let blocks = |s: &&CriticalSection| is_lower(s) && ceiling(s.resource) >= Some(task.priority);
+        let blocks = |s: &&CriticalSection| is_lower(s) && ceiling(s.resource) >= Some(task.lowest());
         let blocking: Vec<_> = sections.iter().filter(blocks).collect();
         match protocol {
             LockProtocol::PriorityCeiling => blocking.iter().map(|s| s.length_ns).max().unwrap_or(0),

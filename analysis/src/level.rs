@@ -8,6 +8,10 @@ use crate::release::Release;
 use crate::validate::validate;
 use crate::{AnalysisError, Group, Hold, Order, Overheads, Rank, Reservation, Task};
 
+mod lowered;
+
+use lowered::Lowered;
+
 /// Ends the search where utilisation is so close to 1 that the busy window is practically endless.
 const MAX_ITERATIONS: u32 = 100_000;
 
@@ -150,18 +154,24 @@ pub(crate) struct Core<'a> {
     delays: Vec<Demand>,
     /// The work per message of each task.
     messages: Vec<u64>,
+    /// What a job of each task costs at the ceiling of its thread, if that lowers itself.
+    waits_ns: Vec<u64>,
     /// The demand that delays every level: messages, and relays.
     common: Curve,
     /// What delays even sections that nothing else preempts: ticks, throttling.
     interrupts: Curve,
-    /// The priorities, the highest first, each with its tasks' delays, and the longest section of all below it.
+    /// The priorities, the highest first, each with its tasks' delays, except for threads that lower themselves, and the longest section of
+    /// all below it.
     bands: Vec<(u8, Curve, u64)>,
     /// For each task that others of this core lead to, the first of these.
     firsts: &'a [Option<First>],
     /// The tasks of each thread that several tasks share.
     threads: HashMap<u32, Vec<usize>>,
-    /// The bounds of these threads that were computed already, by thread and rank.
+    /// Those of these threads that run some of their jobs below their priority.
+    lowered: Vec<Lowered>,
+    /// The bounds of threads that were computed already, by thread and rank, and the windows of `lowered` by thread.
     known: RefCell<HashMap<(u32, Rank), Result<Shared, AnalysisError>>>,
+    windows: RefCell<HashMap<u32, Result<Shared, AnalysisError>>>,
     /// A task that is released too often at once, if there is one.
     burst: Option<AnalysisError>,
     throttled: bool,
@@ -292,11 +302,15 @@ impl<'a> Core<'a> {
             };
             Curve::new(demands).ok_or_else(unnamed)
         };
+        let lowered = Lowered::all(tasks);
+        let mut is_lowered = vec![false; tasks.len()];
+        lowered.iter().flat_map(|thread| &thread.members).for_each(|i| is_lowered[*i] = true);
+        let waits_ns = tasks.iter().map(|task| task.waits_ns(overheads)).collect();
         let mut by_priority: BTreeMap<u8, (Vec<Demand>, u64)> = BTreeMap::new();
         let mut threads: HashMap<u32, Vec<usize>> = HashMap::new();
         for (i, task) in tasks.iter().enumerate() {
-            let (demands, section_ns) = by_priority.entry(task.priority).or_default();
-            demands.push(delays[i].clone());
+            let (demands, section_ns) = by_priority.entry(task.lowest()).or_default();
+            demands.extend((!is_lowered[i]).then(|| delays[i].clone()));
             *section_ns = task.non_preemptive_ns.max(*section_ns);
             if let Some(group) = task.group {
                 threads.entry(group.id).or_default().push(i);
@@ -316,18 +330,21 @@ impl<'a> Core<'a> {
             let bunched = || AnalysisError::Bunched { task: task.name.clone() };
             (releases > 1_000_000).then(error).or_else(|| is_bunched.then(bunched))
         });
-        let (common, interrupts, known) = (curve(common)?, curve(interrupts)?, RefCell::default());
+        let (common, interrupts) = (curve(common)?, curve(interrupts)?);
         Ok(Self {
             tasks,
             callbacks,
             delays,
             messages,
+            waits_ns,
             common,
             interrupts,
             bands,
             firsts,
             threads,
-            known,
+            lowered,
+            known: RefCell::default(),
+            windows: RefCell::default(),
             burst,
             throttled,
             spare_ns: if throttled { u64::MAX } else { spare_ns },
@@ -344,6 +361,16 @@ impl<'a> Core<'a> {
     /// Whether the kernel may pause this core's real-time threads; their bounds then contain the pauses.
     pub fn throttled(&self) -> bool {
         self.throttled
+    }
+
+    /// Counts a step of a search; whether there may be more.
+    fn goes_on(&self) -> bool {
+        #[cfg(test)]
+        STEPS.set(STEPS.get() + 1);
+        self.effort.is_none_or(|effort| {
+            effort.steps.set(effort.steps.get() + 1);
+            effort.steps.get() <= effort.most
+        })
     }
 
     /// How much more work a period of the throttling may have before it throttles; the maximum without it, or if it does.
@@ -374,7 +401,10 @@ impl<'a> Core<'a> {
         let key = (group.id, if group.order == Order::Priority { task.rank } else { Rank::Of(0) });
         let known = self.known.borrow().get(&key).cloned();
         let shared = known.unwrap_or_else(|| {
-            let found = Level::new(self, index).and_then(|level| level.of_thread(group.order));
+            let found = match self.lowered(task) {
+                Some(thread) => self.of_lowered(thread, task.rank),
+                None => Level::new(self, index).and_then(|level| level.of_thread(group.order)),
+            };
             self.known.borrow_mut().insert(key, found.clone());
             found
         });
@@ -394,14 +424,16 @@ struct Level<'a> {
     release: Release,
     /// The releases by which its jobs in a busy window are counted.
     counted: Release,
-    /// The tasks of its thread: itself, and those that share the thread.
+    /// The tasks of its thread that `bands` contain: itself, and those that share the thread; none if the thread lowers itself.
     members: Vec<usize>,
     /// The demand of its thread, without jobs of lower ranks; for a timer of a thread that goes by ranks, none.
     own: Curve,
     /// The cost of one of its own jobs.
     cost_ns: u64,
-    /// Its priority and those above.
+    /// Its priority and those above; the lowest of its thread's, if that lowers itself.
     bands: &'a [(u8, Curve, u64)],
+    /// The demand of other threads that lower themselves.
+    others: Curve,
     /// The gap that its reservation leaves in each period, as work above it.
     gap: Option<Demand>,
     /// What a job costs at the highest priority, in part in its own thread.
@@ -418,6 +450,8 @@ struct Level<'a> {
 impl<'a> Level<'a> {
     fn new(core: &'a Core, index: usize) -> Result<Self, AnalysisError> {
         let task = &core.tasks[index];
+        let lowered = core.lowered(task);
+        let floor = lowered.map_or(task.priority, |thread| thread.floor);
         let shared = task.group.and_then(|group| core.threads.get(&group.id));
         let members = shared.cloned().unwrap_or_else(|| vec![index]);
         // What each rank, and the timers, may add to a round.
@@ -436,12 +470,13 @@ impl<'a> Level<'a> {
             *jobs_ns = jobs_ns.saturating_add(core.callbacks[i].cost_ns);
         }
         // Another thread of this priority may have waited during many rounds: no window begins with what is left of one.
-        let is_alone =
-            || core.tasks.iter().filter(|other| other.priority == task.priority).count() == members.len();
+        let is_here = |other: &&Task| other.priority == task.priority || other.lowest() == task.priority;
+        let is_alone = || core.tasks.iter().filter(is_here).count() == members.len();
         // Joins that may run several times in a round count as often as they are released, as does what is above them; beside a timer, so does all.
         let repeated = members.iter().map(|i| &core.tasks[*i]).filter(|other| other.repeats);
         let repeated = repeated.map(|other| other.rank).min();
-        let is_ranked = members.len() > 1
+        let is_ranked = lowered.is_none()
+            && members.len() > 1
             && task.group.is_some_and(|group| group.order == Order::Priority)
             && is_alone()
             && !(task.rank.is_timer() && repeated.is_some());
@@ -457,7 +492,7 @@ impl<'a> Level<'a> {
             }
         };
         let is_own = |i: &&usize| least.is_some_and(|least| core.tasks[**i].rank >= least);
-        let bands = &core.bands[..core.bands.partition_point(|(priority, ..)| *priority >= task.priority)];
+        let bands = &core.bands[..core.bands.partition_point(|(priority, ..)| *priority >= floor)];
         // A section delays only if it began before: at least 1 ns of it is over.
         let sections = bands.last().map_or(0, |(_, _, below_ns)| below_ns.saturating_sub(1));
         // The end of a reservation preempts everything, and a job that waits for a lock gives up the core after it began.
@@ -466,16 +501,18 @@ impl<'a> Level<'a> {
         let tail = if is_whole { task.wcet_ns - 1 } else { 0 };
         let own = members.iter().filter(is_own).map(|i| core.callbacks[*i].clone());
         let own = Curve::new(own).ok_or_else(|| overflow(task))?;
+        let others = Curve::new(core.demand_of_lowered(floor, task.group)?).ok_or_else(|| overflow(task))?;
         let blocking = u64::checked_add(blocking, sections).and_then(|sum| sum.checked_add(rounds_ns));
         let level = Self {
             core,
             task,
             release: task.release(),
             counted: core.callbacks[index].release.clone(),
-            members,
+            members: if lowered.is_none() { members } else { Vec::new() },
             own,
             cost_ns: core.callbacks[index].cost_ns,
             bands,
+            others,
             gap: None,
             message_ns: core.messages[index],
             sections,
@@ -488,7 +525,8 @@ impl<'a> Level<'a> {
 
     /// All demand that delays the thread.
     fn curves(&self) -> impl Iterator<Item = &Curve> {
-        self.bands.iter().map(|(_, curve, _)| curve).chain([&self.core.common, &self.core.interrupts])
+        let all = [&self.others, &self.core.common, &self.core.interrupts];
+        self.bands.iter().map(|(_, curve, _)| curve).chain(all)
     }
 
     /// Computes the utilisation, without the demand of its own thread as others see it.
@@ -752,13 +790,7 @@ impl<'a> Level<'a> {
 
     fn count(&self, iterations: &mut u32) -> Result<(), AnalysisError> {
         *iterations += 1;
-        #[cfg(test)]
-        STEPS.set(STEPS.get() + 1);
-        let goes_on = self.core.effort.is_none_or(|effort| {
-            effort.steps.set(effort.steps.get() + 1);
-            effort.steps.get() <= effort.most
-        });
-        if goes_on && *iterations <= MAX_ITERATIONS {
+        if self.core.goes_on() && *iterations <= MAX_ITERATIONS {
             return Ok(());
         }
         Err(AnalysisError::IterationLimit {

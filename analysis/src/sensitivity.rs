@@ -49,10 +49,23 @@ pub fn load(system: &System) -> u64 {
 
 /// By how many thousandths at least the execution times of each of these callbacks, given as their tasks, may be multiplied, the others
 /// unchanged: for all callbacks together this costs about as much as two searches for one, and may find less than [`wcet`]. `None` if a
-/// deadline is missed already.
+/// deadline is missed already. On a core with a thread that [lowers itself](Task::lowered_to), each callback costs as much as a search for it alone.
 pub fn wcet_of_each(system: &System, callbacks: &[Range<usize>]) -> Option<Vec<u64>> {
     let slack = system.slack()?;
-    Some(callbacks.iter().map(|callback| slack.factor(system, callback)).collect())
+    let factor = |callback| {
+        let grown = system.grown(callback);
+        match system.lowers_itself_beside(&grown) {
+            true => search(system, |factor| {
+                let mut scaled = system.clone();
+                grown
+                    .iter()
+                    .for_each(|i| scaled.callbacks[*i].task = scale(&system.callbacks[*i].task, factor));
+                scaled
+            }),
+            false => slack.factor(system, &grown),
+        }
+    };
+    Some(callbacks.iter().map(factor).collect())
 }
 
 /// By how many thousandths the execution times of these callbacks may be multiplied, the others unchanged. 0 if one of

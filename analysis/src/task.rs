@@ -39,6 +39,9 @@ pub struct Task {
     pub group: Option<Group>,
     /// When it has its turn among the tasks of its thread, for [`Order::Priority`].
     pub rank: Rank,
+    /// The lowest priority at which its thread runs it, for a task of a group whose thread lowers itself from `priority`, its ceiling: the
+    /// ceiling while it waits, takes a job or runs a timer, and this while it runs a job. `None`: the thread keeps its priority.
+    pub lowered_to: Option<u8>,
     /// Whether one round of a thread that goes by ranks may run it several times: a join by stamps makes sets of what it took in earlier
     /// rounds, too.
     pub repeats: bool,
@@ -159,6 +162,7 @@ impl Task {
             reservation: None,
             group: None,
             rank: Rank::Of(0),
+            lowered_to: None,
             repeats: false,
             message_overhead_ns: None,
             executor_overhead_ns: 0,
@@ -229,6 +233,13 @@ impl Task {
         self
     }
 
+    /// Lets the thread, which has the task's priority while it waits, run the task at this one.
+    #[must_use = "it returns the changed Task"]
+    pub fn lowered_to(mut self, priority: u8) -> Self {
+        self.lowered_to = Some(priority);
+        self
+    }
+
     /// Sets the middleware work for each message of this task, in place of [`Overheads::per_message_ns`].
     #[must_use = "it returns the changed Task"]
     pub fn message_overhead(mut self, overhead: Duration) -> Self {
@@ -236,12 +247,28 @@ impl Task {
         self
     }
 
-    /// What one job costs its thread: its execution time, two context switches, two for each lock that it waits for, and what its executor
-    /// uses.
+    /// The lowest priority at which it runs: its own, unless its thread lowers itself.
+    pub(crate) fn lowest(&self) -> u8 {
+        self.lowered_to.filter(|_| self.group.is_some()).map_or(self.priority, |own| own.min(self.priority))
+    }
+
+    /// The highest priority at which it runs: timers may run at the ceiling of their thread.
+    pub(crate) fn highest(&self) -> u8 {
+        if self.rank.is_timer() { self.priority } else { self.lowest() }
+    }
+
+    /// What one job costs its thread: its execution time, two context switches, two for each lock that it waits for, one if the thread
+    /// lowers itself, which lets others run at once, and what its executor uses.
     pub(crate) fn charged_ns(&self, overheads: &Overheads) -> u64 {
-        let switches =
-            overheads.context_switch_ns.saturating_mul(self.lock_waits.saturating_add(1).saturating_mul(2));
-        self.wcet_ns.saturating_add(switches).saturating_add(self.executor_overhead_ns)
+        let switches = self.lock_waits.saturating_add(1).saturating_mul(2);
+        let switches = switches.saturating_add(u64::from(self.lowest() < self.priority));
+        let switches_ns = overheads.context_switch_ns.saturating_mul(switches);
+        self.wcet_ns.saturating_add(switches_ns).saturating_add(self.executor_overhead_ns)
+    }
+
+    /// What one job costs at the thread's ceiling before the thread lowers itself: what its executor uses, and two context switches.
+    pub(crate) fn waits_ns(&self, overheads: &Overheads) -> u64 {
+        overheads.context_switch_ns.saturating_mul(2).saturating_add(self.executor_overhead_ns)
     }
 
     /// What one message costs at the highest priority.

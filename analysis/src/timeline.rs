@@ -45,6 +45,11 @@ struct Ready {
     turn: (u64, usize),
     non_preemptive: bool,
     work_ns: u64,
+    /// Its thread, if that goes by ranks: it runs one job after the other.
+    thread: Option<u32>,
+    has_begun: bool,
+    /// The priority to which its thread lowers itself when this much work is left.
+    lowered: Option<(u16, u64)>,
 }
 
 /// Runs the tasks of one core for a while: all are released at once, as late as their jitter allows, then as soon as
@@ -63,14 +68,24 @@ pub fn critical_instant(tasks: &[Task], overheads: &Overheads, until_ns: u64) ->
             ready.push(admit(&mut timeline, tasks, overheads, now, task, message));
         }
         let next = releases.last().map_or(until_ns, |(at, ..)| *at);
-        let Some(i) = (0..ready.len()).max_by_key(|i| (ready[*i].rank, Reverse(ready[*i].turn))) else {
+        let is_busy = |of: &Ready| {
+            let other = |other: &Ready| other.has_begun && other.thread == of.thread;
+            of.thread.is_some() && !of.has_begun && ready.iter().any(other)
+        };
+        let free = (0..ready.len()).filter(|i| !is_busy(&ready[*i]));
+        let Some(i) = free.max_by_key(|i| (ready[*i].rank, Reverse(ready[*i].turn))) else {
             now = next;
             continue;
         };
         let running = &mut ready[i];
         running.rank.0 |= running.non_preemptive;
-        let end = now.saturating_add(running.work_ns).min(next);
+        running.has_begun = true;
+        let left_ns = running.lowered.map_or(0, |(_, left_ns)| left_ns);
+        let end = now.saturating_add(running.work_ns - left_ns).min(next);
         running.work_ns -= end - now;
+        if let Some((priority, _)) = running.lowered.take_if(|(_, left_ns)| running.work_ns == *left_ns) {
+            running.rank.1 = priority;
+        }
         let task = running.task;
         match timeline.runs.last_mut() {
             Some(run) if run.task == task && run.end_ns == now => run.end_ns = end,
@@ -118,7 +133,17 @@ fn admit(
     let Some((i, task)) = index.zip(task).filter(|_| !overhead) else {
         let message = |task: &Task| task.message_overhead_ns.unwrap_or(overheads.per_message_ns);
         let (work_ns, rank) = (task.map_or(overheads.tick_ns, message), (false, u16::MAX));
-        return Ready { job: None, task: None, rank, turn: (0, 0), non_preemptive: false, work_ns };
+        return Ready {
+            job: None,
+            task: None,
+            rank,
+            turn: (0, 0),
+            non_preemptive: false,
+            work_ns,
+            thread: None,
+            has_begun: false,
+            lowered: None,
+        };
     };
     timeline.jobs.push(Job { task: i, release_ns: now, end_ns: None });
     let job = timeline.jobs.len() - 1;
@@ -130,12 +155,18 @@ fn admit(
         },
         _ => (now, job),
     };
+    let work_ns = task.charged_ns(overheads);
+    let is_lowered = !task.rank.is_timer() && task.lowest() < task.priority;
+    let left_ns = work_ns.saturating_sub(task.waits_ns(overheads));
     Ready {
         job: Some(job),
         task: Some(i),
         rank: (false, task.priority.into()),
         turn,
         non_preemptive: task.non_preemptive_ns >= task.wcet_ns,
-        work_ns: task.charged_ns(overheads),
+        work_ns,
+        thread: task.group.filter(|group| group.order == Order::Priority).map(|group| group.id),
+        has_begun: false,
+        lowered: is_lowered.then(|| (task.lowest().into(), left_ns)),
     }
 }

@@ -240,3 +240,112 @@ fn what_contradicts_the_priorities_of_callbacks_is_refused() {
     let error = SystemFile::parse(timers).unwrap_err().to_string();
     assert!(error.contains("but only timers"), "{error}");
 }
+
+/// The bounds of a system with a thread that has its callbacks' priorities, in microseconds. Callbacks: name, whether of that thread, priority,
+/// period, execution time; without a priority, a timer.
+fn of_lowered(overheads: &str, callbacks: &[(&str, bool, Option<u8>, u64, u64)]) -> Vec<Option<u64>> {
+    let mut text = format!(
+        "[hosts.robot]\ncores = 1\n[overheads]\n{overheads}\n[nodes.n]\nclient = \"rclcpp\"\n[nodes.o]\n\
+         [groups.g]\norder = \"priority\"\nthread_priority = \"callback\"\n"
+    );
+    for (name, is_member, priority, period, wcet) in callbacks {
+        let (node, group) = if *is_member { ("n", "group = \"g\"\n") } else { ("o", "") };
+        write!(
+            text,
+            "[callbacks.{name}]\nnode = \"{node}\"\n{group}wcet = \"{wcet}us\"\ndeadline = \"1s\"\n"
+        )
+        .unwrap();
+        match priority {
+            Some(priority) => write!(
+                text,
+                "topic = \"/{name}\"\npriority = {priority}\n[topics.\"/{name}\"]\nperiod = \"{period}us\"\n"
+            ),
+            None => writeln!(text, "period = \"{period}us\""),
+        }
+        .unwrap();
+    }
+    let checked = SystemFile::parse(&text).unwrap_or_else(|problems| panic!("{problems}\n{text}")).check();
+    let bounds = checked.callbacks.iter().map(|callback| Some(callback.response_overhead_ns? / 1_000));
+    bounds.collect()
+}
+
+/// `own` comes just after `low` has been taken, and preempts it, but not `high`: its bound is 4 instead of 24. `high` comes just after `low` has
+/// been taken, too, and waits for `low` and `own`, 24 in all.
+#[test]
+fn others_preempt_a_low_callback_of_a_thread_that_lowers_itself() {
+    let callbacks = [
+        ("high", true, Some(30), 1_000, 1),
+        ("low", true, Some(10), 1_000, 20),
+        ("own", false, Some(20), 1_000, 3),
+    ];
+    assert_eq!(of_lowered("", &callbacks), [Some(24), Some(24), Some(4)]);
+    // The executor takes `low` at the ceiling: 2 for each of both, in all 28 of 20 + 1 + 3 + 4.
+    assert_eq!(of_lowered("rclcpp = \"2us\"", &callbacks), [Some(28), Some(28), Some(8)]);
+    // A switch to each and back, and one more as `low` is lowered; of it, two are at the ceiling.
+    assert_eq!(of_lowered("context_switch = \"1us\"", &callbacks)[2], Some((1 + 2) + 2 + (3 + 2)));
+}
+
+/// `high` does not wait for both `low` and `mid`: it comes just after one was taken. It waits for `own` beside `low` alone.
+#[test]
+fn a_rank_of_a_thread_that_lowers_itself_waits_for_one_lower_rank() {
+    let callbacks = [
+        ("high", true, Some(40), 1_000, 1),
+        ("mid", true, Some(25), 1_000, 10),
+        ("low", true, Some(10), 1_000, 20),
+        ("own", false, Some(20), 1_000, 3),
+    ];
+    assert_eq!(of_lowered("", &callbacks), [Some(24), Some(34), Some(34), Some(14)]);
+}
+
+/// `mid` runs from 0 until 25, while three messages of `own` come, at 0, 10 and 20. Then `low` is taken, and `high` comes. `own` runs until 28 and
+/// twice more, so that `low` ends at 50 and `high` at 51. What the thread kept waiting before counts: from 25 on, `own` has two releases only. The
+/// bound has a sixth.
+#[test]
+fn others_may_have_waited_when_a_thread_lowers_itself() {
+    let callbacks = [
+        ("high", true, Some(40), 1_000, 1),
+        ("mid", true, Some(25), 1_000, 25),
+        ("low", true, Some(10), 1_000, 20),
+        ("own", false, Some(20), 10, 1),
+    ];
+    let bounds = of_lowered("", &callbacks);
+    assert!(bounds[0] >= Some(51 - 25), "{bounds:?}");
+    assert_eq!(bounds[0], Some(27));
+}
+
+/// `low` ends at 15. `high` has waited since just after 0 and runs until 20, and again, for its release at 20, until 25. `own` comes at 15 and runs
+/// until 28: there are two of `high` within 13, whose period is 20. The bound has a third.
+#[test]
+fn callbacks_that_waited_for_a_lower_one_delay_others_together() {
+    let callbacks = [
+        ("high", true, Some(30), 20, 5),
+        ("low", true, Some(10), 1_000, 15),
+        ("own", false, Some(20), 1_000, 3),
+    ];
+    let bounds = of_lowered("", &callbacks);
+    assert!(bounds[2] >= Some(28 - 15), "{bounds:?}");
+    assert_eq!(bounds[2], Some(18));
+}
+
+/// A timer runs at the ceiling, and so delays all others below it. It may be due just after `low` was taken.
+#[test]
+fn timers_of_a_thread_that_lowers_itself_run_at_its_ceiling() {
+    let callbacks = [
+        ("high", true, Some(30), 1_000, 1),
+        ("low", true, Some(10), 1_000, 20),
+        ("tick", true, None, 1_000, 2),
+        ("own", false, Some(20), 1_000, 3),
+    ];
+    let bounds = of_lowered("", &callbacks);
+    assert_eq!(bounds[3], Some(1 + 2 + 3));
+    // At most all of the window: 1 + 20 + 2 + 3.
+    assert!(bounds[..3].iter().all(|bound| *bound == Some(26)), "{bounds:?}");
+}
+
+/// The priorities of a thread that has only one are no different from those of a group.
+#[test]
+fn a_thread_with_one_priority_never_lowers_itself() {
+    let callbacks =
+        [("a", true, Some(30), 100, 4), ("b", true, Some(30), 100, 2), ("own", false, Some(20), 100, 3)];
+    assert_eq!(of_lowered("context_switch = \"1us\"", &callbacks), [Some(10), Some(10), Some(15)]);
+}

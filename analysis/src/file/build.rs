@@ -237,6 +237,7 @@ impl Builder<'_> {
             if order == Order::Priority {
                 let timer = Rank::Timer { is_first: self.runs_timers_first(thread) };
                 task = task.rank(self.rank(index, thread).map_or(timer, Rank::Of));
+                task.lowered_to = self.lowered_to(index, thread);
             }
         }
         let unbounded = self.unbounded(index, thread);
@@ -273,6 +274,17 @@ impl Builder<'_> {
         let callback = &self.file.callbacks[index];
         let group = self.threads[thread].group.map(|group| &self.file.groups[group])?;
         callback.priority.as_ref().map(|priority| priority.value).filter(|_| group.is_ranked())
+    }
+
+    /// The lowest priority at which a thread that has those of its callbacks runs one of them. A timer after a message in a round has the
+    /// message's.
+    fn lowered_to(&self, index: usize, thread: usize) -> Option<u8> {
+        let Thread { group, callbacks, priority, .. } = &self.threads[thread];
+        group.filter(|group| self.file.groups[*group].has_priority_of_callback())?;
+        let executor = self.file.nodes[self.places[index].node].executor();
+        let is_first = executor != Executor::StaticSingleThreaded && self.runs_timers_first(thread);
+        let lowest = || callbacks.iter().filter_map(|i| self.rank(*i, thread)).min();
+        self.rank(index, thread).or_else(|| if is_first { *priority } else { lowest() })
     }
 
     /// Whether each round of a ROS executor begins with the timers: rclpy's goes through its nodes one after the other.

@@ -118,7 +118,7 @@ fn waits(of: &Lock, locks: &[Lock], tasks: &[Task]) -> u64 {
     let is_lower = |lock: &&Lock| {
         let other = &tasks[lock.task];
         thread(lock) != thread(of)
-            && (other.priority <= own.priority || matches!(other.hold, Hold::Demoted { .. }))
+            && (other.lowest() <= own.highest() || matches!(other.hold, Hold::Demoted { .. }))
     };
     let inherits = |lock: &&Lock| lock.protocol == LockProtocol::PriorityInheritance;
     let taken: HashSet<&str> =

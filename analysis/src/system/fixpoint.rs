@@ -177,6 +177,8 @@ fn firsts(system: &System, tasks: &[Task], order: &[usize]) -> Vec<Option<Lead>>
             let from = &tasks[source];
             let is_ranked = from.group.is_some_and(|group| group.order == Order::Priority);
             let is_above = match from.priority.cmp(&task.priority) {
+                // What triggers it may wait for what is below.
+                _ if from.lowered_to.is_some() || task.lowered_to.is_some() => false,
                 // A busy window of a rank may begin with jobs of timers that were released before it.
                 Ordering::Equal if is_ranked => {
                     from.group == task.group && from.rank >= task.rank && !from.rank.is_timer()
@@ -363,6 +365,16 @@ fn without_bound(system: &System, order: &[usize], outcomes: &mut Outcomes) {
             let priority = if stops_all { u8::MAX } else { task.priority };
             if lost[core].is_none_or(|(lost, _)| lost < priority) {
                 lost[core] = Some((priority, cause));
+                changed = true;
+            }
+        }
+        // A thread that lowers itself, and has no bound there, delays all up to its ceiling.
+        for callback in &system.callbacks {
+            let (task, lost) = (&callback.task, &mut lost[callback.core]);
+            if let Some((priority, _)) = lost.as_mut().filter(|(lost, _)| task.lowest() <= *lost)
+                && *priority < task.priority
+            {
+                *priority = task.priority;
                 changed = true;
             }
         }

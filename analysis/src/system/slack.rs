@@ -140,13 +140,26 @@ fn blocked(task: &Task, ns: u64) -> Task {
     task
 }
 
-impl Slack {
-    /// A factor in thousandths, for these tasks of one callback together, with which no deadline is missed.
-    pub(crate) fn factor(&self, system: &System, callback: &Range<usize>) -> u64 {
+impl System {
+    /// The tasks of a callback, with their copies on other cores.
+    pub(crate) fn grown(&self, callback: &Range<usize>) -> Vec<usize> {
         let is_grown = |i: &usize| {
-            callback.contains(i) || system.callbacks[*i].copy_of.is_some_and(|own| callback.contains(&own))
+            callback.contains(i) || self.callbacks[*i].copy_of.is_some_and(|own| callback.contains(&own))
         };
-        let grown: Vec<usize> = (0..system.callbacks.len()).filter(is_grown).collect();
+        (0..self.callbacks.len()).filter(is_grown).collect()
+    }
+
+    /// Whether a thread that lowers itself is on a core of these tasks. One job then counts in several windows of a bound, for which there is no
+    /// slack in common.
+    pub(crate) fn lowers_itself_beside(&self, tasks: &[usize]) -> bool {
+        let is_beside = |callback: &Callback| tasks.iter().any(|i| self.callbacks[*i].core == callback.core);
+        self.callbacks.iter().any(|of| of.task.lowest() < of.task.priority && is_beside(of))
+    }
+}
+
+impl Slack {
+    /// A factor in thousandths, for the tasks of one callback together, with which no deadline is missed.
+    pub(crate) fn factor(&self, system: &System, grown: &[usize]) -> u64 {
         let affected =
             |k: &usize| grown.iter().any(|j| system.callbacks[*j].core == system.callbacks[*k].core);
         let of_tasks = (0..system.callbacks.len()).filter(affected).map(|k| {
@@ -154,7 +167,7 @@ impl Slack {
             // Less 1 for what stays free.
             self.largest(
                 system,
-                &grown,
+                grown,
                 system.callbacks[k].core,
                 self.blocking_ns[k].saturating_sub(1),
                 longer,
@@ -167,7 +180,7 @@ impl Slack {
                 Some(_) => 0,
                 None => self.delaying(j).most_within(window_ns),
             };
-            Some(self.largest(system, &grown, number, spare_ns, longer))
+            Some(self.largest(system, grown, number, spare_ns, longer))
         });
         of_tasks.chain(of_throttling).min().unwrap_or(0)
     }
