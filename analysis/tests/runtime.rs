@@ -9,7 +9,8 @@
 //! - triggers: `period`, several topics and publishers, topics from outside with `jitter` and `min_distance`, `depth`; late timers, which keep their newest
 //!   release; nodes that start later than others, from whose start bounds hold
 //! - joins (`all`, `window`, `policy`, `take`), by the synchronizers' own policies; `reads`, chains
-//! - groups: first in, first out, with what they take ahead; any order; by `priority`, with timers, also in executors of two nodes
+//! - groups: first in, first out, with what they take ahead; any order; by `priority`, with timers, also in executors of two nodes, whose threads may have the
+//!   priorities of their callbacks
 //! - `priority`, stated or by each policy; `overrun` with each value; `reservation` on a core or any; `non_preemptive` sections
 //! - `locks` of both protocols, several of a callback; all `[overheads]`, with `tick` and `throttling`
 //!
@@ -40,6 +41,11 @@ fn nothing_exceeds_its_bound() {
 #[test]
 fn nothing_exceeds_its_bound_in_groups_that_go_by_ranks() {
     hold_against(200, "ranks");
+}
+
+#[test]
+fn nothing_exceeds_its_bound_beside_threads_that_have_the_priorities_of_their_callbacks() {
+    hold_against(200, "lowered");
 }
 
 /// Searches that run beside each other, each with a seed of its own.

@@ -233,6 +233,9 @@ pub struct Message {
 
 struct Job {
     message: Message,
+    /// How much of its work its executor does before it has taken the message, and the priority to which its thread lowers itself then.
+    executor: u64,
+    lowered: Option<u8>,
     /// What a join takes besides.
     more: Vec<Message>,
     work: u64,
@@ -255,6 +258,8 @@ struct Thread {
     blocked_on: Option<usize>,
     /// In the order of ranks, callbacks and topics of timers that were due and messages that were reported together, and are still to be taken.
     round: Vec<(usize, usize)>,
+    /// The priority to which it has lowered itself, for the message that it took last.
+    lowered: Option<u8>,
     is_over: bool,
     /// Jobs that arrived up to then run below all others, after one that was demoted.
     low_until: u64,
@@ -337,6 +342,7 @@ pub fn simulate(model: &Model, run: &Run) -> Seen {
                 job: None,
                 blocked_on: None,
                 round: Vec::new(),
+                lowered: None,
                 is_over: false,
                 low_until: 0,
                 asleep_until: 0,
@@ -755,13 +761,42 @@ impl Machine<'_> {
             true => self.threads[*other].members.iter().any(locks),
             false => self.threads[*other].blocked_on == Some(lock),
         });
-        users.map(|other| self.priority(other)).max().unwrap_or(0).max(own)
+        // A lock's ceiling is that of all who use it; who waits for a lock has the priority of its job.
+        let of = |other: usize| match self.model.is_ceiling {
+            true => {
+                let users = self.threads[other].members.iter().filter(|i| locks(*i));
+                users.map(|i| self.priority_of(*i)).max().unwrap_or(0)
+            }
+            false => self.priority(other),
+        };
+        users.map(of).max().unwrap_or(0).max(own)
     }
 
     fn priority(&self, at: usize) -> u8 {
-        let callback = &self.model.callbacks[self.threads[at].members[0]];
+        let Thread { members, lowered, job, queue, round, .. } = &self.threads[at];
+        let own = self.ceiling_of(members[0]);
+        // From one job to the next it takes a message or waits, before which it returns to its ceiling; but not for a set, which what it took last
+        // completes, or for a timer in the same round.
+        let stays = job.is_some()
+            || queue.first().is_some_and(|message| !message.set.is_empty())
+            || round.first().is_some_and(|(i, _)| is_timer(self.model, *i));
+        lowered.filter(|_| stays).unwrap_or(own)
+    }
+
+    /// The highest priority at which a callback runs.
+    fn priority_of(&self, i: usize) -> u8 {
+        let callback = &self.model.callbacks[i];
+        let is_lowered = callback.group.is_some_and(|group| self.model.ceiling(group).is_some());
+        if is_lowered && !is_timer(self.model, i) { callback.priority } else { self.ceiling_of(i) }
+    }
+
+    /// The priority of a callback's thread while it waits.
+    fn ceiling_of(&self, i: usize) -> u8 {
+        let callback = &self.model.callbacks[i];
         match callback.group {
-            Some(group) if self.model.groups[group] == Order::Rank => group_priority(group),
+            Some(group) if self.model.groups[group].goes_by_ranks() => {
+                self.model.ceiling(group).unwrap_or(group_priority(group))
+            }
             _ => callback.priority,
         }
     }
@@ -825,8 +860,27 @@ impl Machine<'_> {
         }
         let is_demoted =
             callback.budget.demotes() && message.order <= thread.low_until && thread.low_until > 0;
-        thread.job =
-            Some(Job { message, more, work, done: 0, locks, section, has_begun: false, is_demoted, used: 0 });
+        // A message is taken at the ceiling, after which its callback runs at its own priority; sets, and timers after it, keep that.
+        let is_taken = message.set.is_empty() && !is_timer(self.model, i);
+        let group = callback.group.filter(|group| self.model.ceiling(*group).is_some());
+        let lowered = group.filter(|_| is_taken).map(|_| callback.priority);
+        if is_taken {
+            thread.lowered = lowered.filter(|_| executor == 0);
+        }
+        let (done, used, has_begun) = (0, 0, false);
+        thread.job = Some(Job {
+            message,
+            executor,
+            lowered,
+            more,
+            work,
+            done,
+            locks,
+            section,
+            has_begun,
+            is_demoted,
+            used,
+        });
     }
 
     /// What a thread takes next from its queue: its own topics one after the other, those of several in any order; a set before more of what made it.
@@ -846,13 +900,14 @@ impl Machine<'_> {
                 return (0..queue.len()).min_by_key(|m| queue[*m].order).unwrap_or(0);
             }
             // A set is passed on by what takes its last message.
-            Some(Order::Rank) if !queue[0].set.is_empty() => return 0,
+            Some(Order::Rank | Order::Lowered) if !queue[0].set.is_empty() => return 0,
             // An executor of ROS 2 runs the timers that were due at its wait, and takes one message of each subscription that was reported, in the
             // order of their creation. That of rclpy does so for one node after the other.
-            Some(Order::Rank) => {
+            Some(Order::Rank | Order::Lowered) => {
                 let of = |message: &Message| (message.callback, message.topic);
                 thread.round.retain(|one| queue.iter().any(|message| of(message) == *one));
                 if thread.round.is_empty() {
+                    thread.lowered = None;
                     let rank = |message: &Message| model.callbacks[message.callback].priority;
                     let is_due = |message: &&Message| is_timer(model, message.callback);
                     let (due, ready): (Vec<&Message>, Vec<&Message>) = queue.iter().partition(is_due);
@@ -941,6 +996,7 @@ impl Machine<'_> {
         self.used[core] += u64::from(!job.is_demoted);
         job.done += 1;
         job.used += 1;
+        thread.lowered = job.lowered.filter(|_| job.done >= job.executor).or(thread.lowered);
         let released = job.locks.iter().find(|(_, offset, length)| job.done == offset + length);
         // A lock or a section that ends with the work is given back before the job returns: who waited for that goes first, unless the section
         // is the whole run.

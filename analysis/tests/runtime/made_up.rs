@@ -29,6 +29,14 @@ pub enum Order {
     Any,
     /// The highest rank next, with all others of it that wait then.
     Rank,
+    /// As by rank, and the rank is the thread's priority while it runs the callback.
+    Lowered,
+}
+
+impl Order {
+    pub fn goes_by_ranks(self) -> bool {
+        matches!(self, Order::Rank | Order::Lowered)
+    }
 }
 
 /// What a callback that waits for all of its topics takes for a set. Windows in steps.
@@ -119,7 +127,8 @@ impl Model {
         let executors: Vec<_> = hosts.iter().map(|_| rng.random_bool(0.15).then_some(executor)).collect();
         let groups = executors.iter().map(|executor| match (executor, rng.random_range(0..10)) {
             (None, 0..7) => Order::Fifo,
-            (Some(_), 0..6) => Order::Rank,
+            (Some(_), 0..3) => Order::Rank,
+            (Some(_), 3..6) => Order::Lowered,
             _ => Order::Any,
         });
         let groups = groups.collect();
@@ -191,7 +200,8 @@ impl Model {
         let share = load * self.hosts.len() as f64 / count as f64;
         let wcet =
             (slowest as f64 * share * rng.random_range(0.2..1.6)).round().clamp(1.0, slowest as f64) as u64;
-        let is_ranked = self.groups[core] == Order::Rank;
+        let is_ranked = self.groups[core].goes_by_ranks();
+        let own = 10 + 3 * ((i as u8 * 7 + rng.random_range(0..7)) % 20);
         let in_group = rng.random_bool(if is_ranked { 0.7 } else { 0.25 });
         let is_outside =
             triggers.is_empty() && rng.random_bool(if is_ranked && in_group { 0.6 } else { 0.4 });
@@ -256,9 +266,10 @@ impl Model {
             charged: 0,
             bcet: rng.random_range(0..=wcet),
             priority: match group {
+                Some(core) if self.groups[core] == Order::Lowered => own,
                 Some(_) if is_ranked => rng.random_range(1..=4),
                 Some(core) => group_priority(core),
-                None => 10 + 3 * ((i as u8 * 7 + rng.random_range(0..7)) % 20),
+                None => own,
             },
             group,
             budget,
@@ -277,6 +288,7 @@ impl Model {
             ("demotion", has(&|c| c.budget.demotes())),
             ("joins", has(&|c| c.join.is_some())),
             ("ranks", has(&|c| self.is_ranked(c))),
+            ("lowered", has(&|c| c.group.is_some_and(|group| self.ceiling(group).is_some()))),
             ("ranks and timers", has(&|c| self.is_ranked(c) && c.triggers.is_empty() && !c.is_outside)),
             ("suspension", has(&|c| c.budget == Budget::Suspend)),
             ("reservations", has(&|c| matches!(c.budget, Budget::Reserved(..)))),
@@ -296,7 +308,16 @@ impl Model {
     }
 
     fn is_ranked(&self, callback: &Callback) -> bool {
-        callback.group.is_some_and(|group| self.groups[group] == Order::Rank)
+        callback.group.is_some_and(|group| self.groups[group].goes_by_ranks())
+    }
+
+    /// The priority at which the thread of a group waits, if it has those of its callbacks, of which timers have none.
+    pub fn ceiling(&self, group: usize) -> Option<u8> {
+        let is_message = |callback: &&Callback| {
+            callback.group == Some(group) && (callback.is_outside || !callback.triggers.is_empty())
+        };
+        let members = self.callbacks.iter().filter(is_message).map(|callback| callback.priority);
+        members.max().filter(|_| self.groups[group] == Order::Lowered)
     }
 
     /// Whether a callback is of the second node of an executor of rclpy.
@@ -409,7 +430,10 @@ impl Model {
                 match order {
                     Order::Fifo => writeln!(text, "order = \"fifo\"").unwrap(),
                     Order::Any => writeln!(text, "order = \"any\"").unwrap(),
-                    Order::Rank => {
+                    Order::Lowered if self.ceiling(group).is_some() => {
+                        writeln!(text, "order = \"priority\"\nthread_priority = \"callback\"").unwrap();
+                    }
+                    Order::Rank | Order::Lowered => {
                         writeln!(text, "order = \"priority\"\npriority = {}", group_priority(group)).unwrap();
                     }
                 }
