@@ -125,6 +125,29 @@ fn json_is_the_contract() {
     assert_eq!(json["callbacks"][4]["response_overhead_ms"], 174.04);
 }
 
+/// Of a thread that has the priorities of its callbacks, people and scripts see at which each runs, and the ceiling.
+#[test]
+fn a_callback_has_the_priority_at_which_it_runs() {
+    let directory = scratch("ceiling");
+    let file = "[hosts.robot]\ncores = 1\n[nodes.ros]\nclient = \"rclcpp\"\n\
+                [topics.\"/image\"]\nperiod = \"20ms\"\n[topics.\"/status\"]\nperiod = \"100ms\"\n\
+                [groups.perception]\norder = \"priority\"\nthread_priority = \"callback\"\n\
+                [callbacks.detect]\ngroup = \"perception\"\ntopic = \"/image\"\nwcet = \"2ms\"\npriority = 42\n\
+                [callbacks.log]\ngroup = \"perception\"\ntopic = \"/status\"\nwcet = \"5ms\"\npriority = 20\n";
+    std::fs::write(directory.join("ros.toml"), file).unwrap();
+    let out = text(&taut(&["check", "ros.toml", "--svg", "t.svg"], &directory).stdout);
+    let row = |name: &str| out.lines().find(|line| line.starts_with(name)).unwrap_or_default();
+    assert!(row("detect").contains(" 42 ") && row("log").contains(" 20 "), "{out}");
+    assert!(out.contains("they run wait at the highest: cb:perception at 42.\n"), "{out}");
+    let svg = std::fs::read_to_string(directory.join("t.svg")).unwrap();
+    assert!(svg.contains("detect (42)") && svg.contains("log (20)"), "{svg}");
+    let json = taut(&["check", "ros.toml", "--json"], &directory);
+    let json: Value = serde_json::from_slice(&json.stdout).unwrap();
+    let of = |key: &str| [0, 1].map(|i| json["callbacks"][i][key].clone());
+    assert_eq!((of("priority"), of("ceiling")), ([42.into(), 20.into()], [42.into(), 42.into()]));
+    std::fs::remove_dir_all(directory).unwrap();
+}
+
 #[test]
 fn a_stall_that_makes_queues_deeper_is_said() {
     let alks = systems().join("alks");

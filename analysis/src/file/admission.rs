@@ -345,6 +345,7 @@ impl Union {
                 core,
                 priority,
                 thread_priority: ThreadPriority::Group,
+                lowest_priority: priority,
                 wake_up: WakeUp::Sampler("as far as is known: it is in no file"),
                 rank: None,
                 reservation: thread.reservation,

@@ -472,6 +472,11 @@ impl Builder<'_> {
         let tasks = self.streams.tasks(index);
         let depths =
             declared.topics.iter().filter_map(|t| self.graph.declared.get(t.value.as_str())?.depth.as_ref());
+        let priority = self.threads[thread].priority.unwrap_or(1);
+        let thread_priority =
+            self.threads[thread].group.map(|group| self.file.groups[group].thread_priority());
+        let members = self.threads[thread].callbacks.iter().map(|i| self.streams.tasks(*i).start);
+        let lowest = members.map(|task| callbacks[task].task.lowest()).min();
         CallbackEntry {
             name: declared.name.clone(),
             node: self.file.nodes[self.places[index].node].name.clone(),
@@ -480,10 +485,9 @@ impl Builder<'_> {
             thread: format!("cb:{}", self.threads[thread].name),
             group: self.threads[thread].group.map(|group| self.file.groups[group].name.clone()),
             core: self.places[index].core,
-            priority: self.threads[thread].priority.unwrap_or(1),
-            thread_priority: self.threads[thread]
-                .group
-                .map_or(ThreadPriority::Group, |group| self.file.groups[group].thread_priority()),
+            priority,
+            thread_priority: thread_priority.unwrap_or_default(),
+            lowest_priority: lowest.unwrap_or(priority),
             wake_up: self.wake_ups[thread],
             rank: self.rank(index, thread),
             topics: declared.topics.iter().map(|topic| topic.value.clone()).collect(),

@@ -357,7 +357,11 @@ fn shared_priorities(callbacks: &[CheckedCallback]) -> impl Iterator<Item = Stri
     let mut levels: BTreeMap<(usize, u8), BTreeMap<&str, &CheckedCallback>> = BTreeMap::new();
     for callback in callbacks.iter().filter(|callback| callback.entry.reservation.is_none()) {
         let entry = &callback.entry;
-        levels.entry((entry.core, entry.priority)).or_default().entry(&entry.thread).or_insert(callback);
+        levels
+            .entry((entry.core, entry.running_priority()))
+            .or_default()
+            .entry(&entry.thread)
+            .or_insert(callback);
     }
     levels.into_iter().filter(|(_, threads)| threads.len() > 1).map(|((_, priority), threads)| {
         let mut callbacks = threads.values();
@@ -433,11 +437,12 @@ fn endless_waits(callbacks: &[CheckedCallback]) -> impl Iterator<Item = String> 
 fn above_samplers(file: &SystemFile, callbacks: &[CheckedCallback]) -> impl Iterator<Item = String> {
     callbacks.iter().filter_map(|callback| {
         let (entry, sampler) = (&callback.entry, file.cores[callback.entry.core].sampler_priority);
-        (entry.reservation.is_none() && entry.priority >= sampler).then(|| {
+        (entry.reservation.is_none() && entry.running_priority() >= sampler).then(|| {
             format!(
                 "callback `{}` has priority {}, not below the sampler's {sampler}: messages of other callbacks wait for it, and no \
                  bound holds; lower it",
-                entry.name, entry.priority
+                entry.name,
+                entry.running_priority()
             )
         })
     })

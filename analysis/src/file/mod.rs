@@ -84,6 +84,8 @@ pub struct CallbackEntry {
     pub priority: u8,
     /// Which priority the thread has while it runs the callback.
     pub thread_priority: ThreadPriority,
+    /// The lowest priority at which the thread runs a callback: below `priority` at most with [`ThreadPriority::Callback`].
+    pub lowest_priority: u8,
     /// Who wakes its thread.
     pub wake_up: WakeUp,
     /// Its rank in a group with `order = "priority"`: the highest of the waiting callbacks runs next. Timers have none.

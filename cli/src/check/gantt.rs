@@ -72,7 +72,7 @@ fn members<'c>(checked: &'c CheckedSystem, core: &CheckedCore) -> Vec<(&'c Check
         (0..core.tasks.len()).filter(named).collect()
     };
     let mut members: Vec<_> = here.map(|callback| (callback, tasks(callback))).collect();
-    members.sort_by_key(|(callback, _)| std::cmp::Reverse(callback.entry.priority));
+    members.sort_by_key(|(callback, _)| std::cmp::Reverse(callback.entry.running_priority()));
     members
 }
 
@@ -118,7 +118,7 @@ fn draw_core(svg: &mut String, checked: &CheckedSystem, core: &CheckedCore, top:
     }
     for (row, (callback, tasks)) in members.iter().enumerate() {
         let y = first + ROW * (row + usize::from(overhead)) as f64;
-        let priority = crate::table::priority(callback.entry.priority);
+        let priority = crate::table::priority(callback.entry.running_priority());
         let label = format!("{} ({priority})", shorten(&callback.entry.name, 18));
         text(svg, LEFT - 10.0, y + 19.0, "n", &label);
         for job in timeline.jobs.iter().filter(|job| tasks.contains(&job.task)) {

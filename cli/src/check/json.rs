@@ -29,6 +29,9 @@ struct Callback<'a> {
     host: &'a str,
     core: usize,
     priority: u8,
+    /// The priority of its thread while that waits; present if the thread runs callbacks below it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    ceiling: Option<u8>,
     wake_up: WakeUp,
     /// Present if it is not a single-threaded one.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -117,7 +120,8 @@ pub fn write(
         name: &callback.entry.name,
         host: &callback.host,
         core: callback.core,
-        priority: callback.entry.priority,
+        priority: callback.entry.running_priority(),
+        ceiling: Some(callback.entry.priority).filter(|ceiling| callback.entry.lowest_priority < *ceiling),
         wake_up: WakeUp::of(callback.entry.wake_up),
         executor: Some(callback.entry.executor)
             .filter(|executor| *executor != Executor::SingleThreaded)

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The verdict as a table for people: callbacks, chains, cores, warnings.
+use std::collections::BTreeMap;
 use std::io::{self, Write};
 
 use tautline_analysis::file::{CheckedCallback, CheckedSystem, JoinPolicy, WakeUp};
@@ -83,6 +84,24 @@ fn write_wake_ups(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<(
     writeln!(out, "Wake-ups: {}.", groups.join("; "))
 }
 
+/// Writes the priorities of threads that run callbacks at other ones.
+fn write_ceilings(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
+    let entries = checked.callbacks.iter().map(|callback| &callback.entry);
+    let lowered = entries.filter(|entry| entry.lowest_priority < entry.priority);
+    let ceilings: BTreeMap<_, _> =
+        lowered.map(|entry| ((entry.core, entry.thread.as_str()), entry.priority)).collect();
+    if ceilings.is_empty() {
+        return Ok(());
+    }
+    let ceilings: Vec<_> =
+        ceilings.into_iter().map(|((_, thread), priority)| format!("{thread} at {priority}")).collect();
+    writeln!(
+        out,
+        "Threads with the priority of the callback that they run wait at the highest: {}.",
+        ceilings.join(", ")
+    )
+}
+
 /// Writes the whole verdict; failed lines are red.
 pub fn write(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
     let several = checked.cores.iter().any(|core| core.host != checked.cores[0].host);
@@ -95,7 +114,7 @@ pub fn write(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
             callback.entry.name.clone(),
             callback.entry.thread.clone(),
             core(callback),
-            priority(callback.entry.priority),
+            priority(callback.entry.running_priority()),
             ms(Some(callback.period_ns)),
             ms(Some(callback.wcet_ns)),
             ms(callback.response_ns),
@@ -123,6 +142,7 @@ pub fn write(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
     write_stalls(checked, out)?;
     write_inputs(checked, out)?;
     write_wake_ups(checked, out)?;
+    write_ceilings(checked, out)?;
     if !checked.chains.is_empty() {
         writeln!(out)?;
         let rows = checked.chains.iter().map(|chain| {

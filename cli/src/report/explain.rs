@@ -117,6 +117,7 @@ pub fn wrong_priority(predicted: &CheckedCallback, seen: &Callback) -> Mark {
     let priority = predicted.entry.priority;
     let wanted = match predicted.entry.reservation {
         Some(of) => Policy::Deadline { runtime_ns: of.runtime_ns, period_ns: of.period_ns }.to_string(),
+        None if predicted.entry.lowest_priority < priority => format!("{} while it waits", level(priority)),
         None => level(priority),
     };
     let how = match predicted.entry.client {
@@ -239,7 +240,7 @@ pub fn bound_exceeded(
              threads of {} or more, a lock, throttling, {}or [overheads] that are too small; \
              `taut demo` measures them{}",
             predicted.core,
-            level(predicted.entry.priority),
+            level(predicted.entry.lowest_priority),
             if share.is_some() { "" } else { "a hypervisor (TAUT_CORE_TIME=on shows it), " },
             if predicted.entry.client == Client::Tautline {
                 ""

@@ -71,7 +71,8 @@ impl<'c> Host<'c> {
                         }
                         _ => taken,
                     };
-                    let (thread, priority) = (thread_of(process, callback.tid), callback.priority);
+                    let thread = thread_of(process, callback.tid);
+                    let priority = running_priority(checked, &process.host, callback);
                     let sight = |taken| Sight { taken: beyond(taken), thread, priority };
                     // A demoted or suspended job took nothing from others, and its wait was its own.
                     let counts = |of: &&Moment| {
@@ -129,6 +130,10 @@ impl<'c> Host<'c> {
         let is_beyond = |moment: &&Moment| moment.kind == Kind::Late && moment.length_ns > predicted_ns;
         let mut longest = (false, false, 0);
         let mut with_waits = None;
+        // In a thread that lowers itself it may wait for others above the lowest priority.
+        let entry = &predicted.entry;
+        let priority =
+            if entry.lowest_priority < entry.priority { Some(entry.lowest_priority) } else { seen.priority };
         for late in seen.moments.iter().filter(is_beyond) {
             let is_explained_by = |times: &TakenTimes| {
                 let allowed_ns = self.bound_ns(predicted, |window_ns| times.before(late.to_ns, window_ns));
@@ -136,7 +141,7 @@ impl<'c> Host<'c> {
             };
             let waited = !is_explained_by(&taken.known);
             let all = match waited {
-                true => with_waits.get_or_insert_with(|| TakenTimes::with_waits(&taken.seen, seen.priority)),
+                true => with_waits.get_or_insert_with(|| TakenTimes::with_waits(&taken.seen, priority)),
                 false => &taken.known,
             };
             let unexplained = waited && !is_explained_by(all);
@@ -202,6 +207,13 @@ impl<'c> Host<'c> {
 /// A distinct number for each thread of a host.
 fn thread_of(process: &Process, tid: u32) -> u64 {
     u64::from(process.pid) << 32 | u64::from(tid)
+}
+
+/// The priority at which a callback runs, which is below that of its waiting thread if the file says so.
+fn running_priority(checked: &CheckedSystem, host: &str, seen: &Callback) -> Option<u8> {
+    let is_it = |of: &&CheckedCallback| of.host == host && of.entry.name == seen.name;
+    let entry = checked.callbacks.iter().find(is_it).map(|of| &of.entry);
+    entry.filter(|of| Some(of.priority) == seen.priority).map(|of| of.running_priority()).or(seen.priority)
 }
 
 /// How long a job may wait for the core according to the analysis; `u64::MAX` if it has no bound, or is not in the file.

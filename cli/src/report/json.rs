@@ -148,7 +148,7 @@ fn callback(row: &Row) -> Callback<'_> {
     Callback {
         name: &predicted.entry.name,
         core: predicted.core,
-        priority: predicted.entry.priority,
+        priority: predicted.entry.running_priority(),
         predicted: Predicted {
             response_ms: predicted.response_overhead_ns.map(ms),
             deadline_ms: ms(predicted.entry.deadline_ns),

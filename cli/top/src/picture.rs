@@ -9,7 +9,7 @@ use std::time::Instant;
 use taut_cli::rates::{RateMeter, per_second};
 use taut_cli::verb::Outcome;
 use tautline::{Bucket, HistogramSnapshot};
-use tautline_analysis::file::SystemFile;
+use tautline_analysis::file::{CheckedCallback, SystemFile};
 use tautline_executor::CallbackSnapshot;
 use tautline_transport::{EndpointKind, Gid, Visitor};
 
@@ -103,8 +103,16 @@ struct CoreTimes {
     steal: u64,
 }
 
-/// Bounds and capacities of a system file's callbacks.
-type Bounds = BTreeMap<String, (Option<u64>, Option<usize>)>;
+/// What a system file predicts of its callbacks.
+type Bounds = BTreeMap<String, Predicted>;
+
+#[derive(Clone, Copy, Default)]
+struct Predicted {
+    bound_ns: Option<u64>,
+    capacity: Option<usize>,
+    /// The priority of its thread while that waits, and while it runs the callback.
+    priorities: Option<(u8, u8)>,
+}
 
 /// The bounds of each text of a system file that a process runs with, by the file's path and the text's fingerprint.
 #[derive(Default)]
@@ -119,9 +127,12 @@ impl Systems {
         }
         let file = SystemFile::read(path).ok().filter(|file| file.fingerprint() == fingerprint);
         let Some(file) = file else { return Bounds::new() };
-        let callbacks = file.check().callbacks.into_iter();
-        let bounds: Bounds =
-            callbacks.map(|one| (one.entry.name, (one.response_overhead_ns, one.capacity))).collect();
+        let predicted = |one: CheckedCallback| {
+            let priorities = Some((one.entry.priority, one.entry.running_priority()));
+            let (bound_ns, capacity) = (one.response_overhead_ns, one.capacity);
+            (one.entry.name, Predicted { bound_ns, capacity, priorities })
+        };
+        let bounds: Bounds = file.check().callbacks.into_iter().map(predicted).collect();
         self.0.insert(key, bounds.clone());
         bounds
     }
@@ -166,7 +177,10 @@ impl Gatherer {
             {
                 let key = (snapshot.process.pid, callback.tid, callback.name.clone());
                 let former = before.callbacks.get(&key);
-                let (bound_ns, capacity) = bounds.get(&callback.name).copied().unwrap_or_default();
+                let Predicted { bound_ns, capacity, priorities } =
+                    bounds.get(&callback.name).copied().unwrap_or_default();
+                // Recorded is the priority with which the thread takes a message.
+                let running = priorities.filter(|(waiting, _)| callback.priority == Some(*waiting));
                 let ms = |ns: u64| ns as f64 / 1e6;
                 let of = |time: std::time::Duration| time.as_secs_f64() * 1e3;
                 let recent = recent(callback, former.map(|(_, buckets)| buckets));
@@ -176,7 +190,7 @@ impl Gatherer {
                     name: callback.name.clone(),
                     program: snapshot.process.program.clone(),
                     pid: snapshot.process.pid,
-                    priority: callback.priority,
+                    priority: running.map(|(_, running)| running).or(callback.priority),
                     core: callback.core,
                     jobs: callback.completions,
                     releases_hz: former
@@ -370,7 +384,8 @@ mod tests {
         let [was, is] = [&former, &edited].map(|text| SystemFile::parse(text).unwrap().fingerprint());
         let path = std::env::temp_dir().join(format!("taut-top-{}.toml", std::process::id()));
         let mut systems = Systems::default();
-        let mut bound_ns = |fingerprint| systems.bounds(&path, fingerprint).get("map").and_then(|of| of.0);
+        let mut bound_ns =
+            |fingerprint| systems.bounds(&path, fingerprint).get("map").and_then(|of| of.bound_ns);
         assert_eq!(bound_ns(was), None, "the file is not there yet");
         fs::write(&path, &former).unwrap();
         let first = bound_ns(was);
@@ -379,7 +394,7 @@ mod tests {
         fs::write(&path, &edited).unwrap();
         assert_eq!(bound_ns(was), first);
         assert!(bound_ns(is) >= Some(2_000_000));
-        assert_eq!(Systems::default().bounds(&path, was), Bounds::new(), "its text is not there any more");
+        assert!(Systems::default().bounds(&path, was).is_empty(), "its text is not there any more");
         fs::remove_file(&path).unwrap();
     }
 
