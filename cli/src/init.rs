@@ -8,6 +8,7 @@ use crate::trace::{self, record};
 use crate::verb::{CommonArgs, End, Failure, Outcome, time};
 use clap::Args;
 use serde_json::json;
+use std::collections::HashMap;
 use std::fs::OpenOptions;
 use std::io::{self, ErrorKind, Write};
 use std::os::unix::fs::DirBuilderExt;
@@ -15,6 +16,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 use tautline_analysis::file::SystemFile;
+use tautline_executor::ProcessSnapshot;
 
 /// The template; it passes `taut check` unchanged.
 const TEMPLATE: &str = include_str!("init.toml");
@@ -64,8 +66,12 @@ pub fn run(args: &InitArgs) -> Outcome<ExitCode> {
         Some(trace) => (trace::file::read(trace).map_err(refuse)?, Vec::new()),
         None => (observe(args).map_err(refuse)?, measured_lines(args.common.domain()?)?),
     };
+    let priorities = match args.from_trace {
+        Some(_) => HashMap::new(),
+        None => waiting_priorities(args.common.domain()?)?,
+    };
     recording.warnings.iter().for_each(|warning| eprintln!("taut: warning: {warning}"));
-    let described = running::describe(&recording, &overheads);
+    let described = running::describe(&recording, &overheads, &priorities);
     if described.callbacks == 0 {
         return Err(Failure::no(match &args.from_trace {
             Some(trace) => format!(
@@ -101,6 +107,20 @@ fn print(args: &InitArgs, counts: Option<(usize, usize)>, words: &str) -> io::Re
         json!({ "file": args.file.display().to_string(), "callbacks": callbacks, "guesses": guesses });
     let text = if args.common.json { report.to_string() } else { words.to_owned() };
     writeln!(crate::print::stdout(), "{text}")
+}
+
+/// The priority with which each thread of the domain takes messages, by process and thread: a thread may have another one while it runs a
+/// callback.
+fn waiting_priorities(domain: u32) -> Outcome<HashMap<(u32, u32), u8>> {
+    let (processes, _) = tautline_system::shared_statistics(domain)?;
+    // A process that is ending, or has another version, is omitted.
+    let snapshots = processes.iter().filter_map(|process| process.read().ok().flatten());
+    let of_one = |snapshot: ProcessSnapshot| {
+        let pid = snapshot.process.pid;
+        let callbacks = snapshot.callbacks.into_iter().filter(|callback| !callback.ended);
+        callbacks.filter_map(move |callback| Some(((pid, callback.tid), callback.priority?)))
+    };
+    Ok(snapshots.flat_map(of_one).collect())
 }
 
 fn observe(args: &InitArgs) -> Result<trace::recording::Recording, trace::TraceError> {

@@ -61,9 +61,14 @@ pub fn of_those_that_run(mut recording: Recording) -> Recording {
     recording
 }
 
-/// `overheads` are lines of `[overheads]`, each with where its value comes from.
-pub fn describe(recording: &Recording, overheads: &[(String, String)]) -> Described {
-    let threads = threads(recording);
+/// `overheads` are lines of `[overheads]`, each with where its value comes from; `priorities` are those with which threads take messages, by
+/// process and thread.
+pub fn describe(
+    recording: &Recording,
+    overheads: &[(String, String)],
+    priorities: &HashMap<(u32, u32), u8>,
+) -> Described {
+    let threads = threads(recording, priorities);
     let callbacks = callbacks(recording, &threads);
     let mut file = File { text: String::new(), guesses: 0 };
     file.head(recording, &threads, overheads);
@@ -285,12 +290,24 @@ fn key(name: &str) -> String {
 }
 
 /// The threads of the recorded processes, as far as they still exist.
-fn threads(recording: &Recording) -> Threads {
+fn threads(recording: &Recording, priorities: &HashMap<(u32, u32), u8>) -> Threads {
     let of = |(process, of): (&u32, &Process)| {
         let threads = rt::threads_of(of.pid).unwrap_or_default();
-        threads.into_iter().map(|thread| ((*process, thread.tid), thread)).collect::<Vec<_>>()
+        let waiting = |thread: ThreadInfo| {
+            let stated = priorities.get(&(of.pid, thread.tid)).copied();
+            ThreadInfo { policy: waiting_policy(thread.policy, stated), ..thread }
+        };
+        threads.into_iter().map(waiting).map(|thread| ((*process, thread.tid), thread)).collect::<Vec<_>>()
     };
     recording.processes.iter().flat_map(of).collect()
+}
+
+/// The policy with which a thread takes messages at a stated priority: it may run a callback below that just now.
+fn waiting_policy(now: Policy, stated: Option<u8>) -> Policy {
+    match (now, stated) {
+        (Policy::Fifo(now), Some(stated)) if stated < Policy::RESERVATION => Policy::Fifo(stated.max(now)),
+        _ => now,
+    }
 }
 
 /// The processor time of each run. If it was not measured, it is the time from start to end without the time of runs that preempted it:
@@ -604,6 +621,14 @@ mod tests {
         };
         let rate = &rates(&recording, &[callback])["/imu"];
         assert_eq!((rate.messages, rate.regular), (10, Some((1000, 0))));
+    }
+
+    #[test]
+    fn a_thread_has_the_priority_with_which_it_waits() {
+        let other = Policy::Other { nice: 0 };
+        assert_eq!(waiting_policy(Policy::Fifo(20), Some(42)), Policy::Fifo(42));
+        assert_eq!(waiting_policy(Policy::Fifo(20), None), Policy::Fifo(20));
+        assert_eq!(waiting_policy(other, Some(42)), other);
     }
 
     /// `/lidar` and `/map` are in one executor; `/radar` has two subscriptions of one topic, each in an executor of its own.
