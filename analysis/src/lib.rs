@@ -54,6 +54,10 @@
 //! overhead at the highest priority, since the sampler serves the topics of lower priority too; so do timer ticks, and
 //! the pauses of real-time throttling where they can happen.
 //!
+//! A thread that has the priority of each job while it runs that, and a ceiling otherwise ([`Task::lowered_to`]), takes from a task above a job
+//! only what it uses at the ceiling to take the job; what waits in it behind that job counts with more jitter. Its own jobs wait for all above
+//! its lowest priority.
+//!
 //! A task under SCHED_DEADLINE is above all priorities; for the others it is a task of its runtime and period that is released
 //! with a jitter of one period, whatever it does ([`Reservation`]). Its own jobs find their runtime, or wait for the gap that its runtime
 //! leaves of each period, as if that were work above it.

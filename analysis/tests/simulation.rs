@@ -7,7 +7,10 @@ use std::cmp::Reverse;
 use std::time::Duration;
 
 use rand::{RngExt, SeedableRng, rngs::StdRng};
-use tautline_analysis::{Overheads, Response, Task, response_times, response_times_with_overheads};
+use tautline_analysis::timeline::critical_instant;
+use tautline_analysis::{
+    Order, Overheads, Rank, Response, Task, response_times, response_times_with_overheads,
+};
 
 /// `arrival` is nominal, `release` is when the job is ready.
 #[derive(Clone, Copy)]
@@ -168,4 +171,21 @@ fn simulate(mut jobs: Vec<Job>, tasks: usize) -> Vec<i64> {
             }
         }
     }
+}
+
+/// `high` is first. `low` is taken at the ceiling until 3, and then `own` preempts it until 6. `high` comes again at 8, and waits for `low`.
+#[test]
+fn a_thread_lowers_itself_once_it_has_taken_a_job() {
+    let ns = Duration::from_nanos;
+    let of_thread = |name: &str, period, wcet, own| {
+        Task::new(name, ns(period), ns(wcet), 30)
+            .group(0, Order::Priority)
+            .rank(Rank::Of(own))
+            .lowered_to(own)
+    };
+    let low = Task { executor_overhead_ns: 2, ..of_thread("low", 100, 5, 10) };
+    let tasks = [of_thread("high", 8, 1, 30), low, Task::new("own", ns(100), ns(3), 20)];
+    let timeline = critical_instant(&tasks, &Overheads::NONE, 13);
+    let jobs: Vec<_> = timeline.jobs.iter().map(|job| (job.task, job.release_ns, job.end_ns)).collect();
+    assert_eq!(jobs, [(0, 0, Some(1)), (1, 0, Some(11)), (2, 0, Some(6)), (0, 8, Some(12))]);
 }
