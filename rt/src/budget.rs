@@ -25,6 +25,7 @@ use std::{mem, ptr};
 use crate::clock::{nanoseconds, thread_cpu_ns};
 use crate::enforcer;
 use crate::fork::ProcessMark;
+use crate::policy::schedule;
 use crate::{Enforcement, Policy, RtError, current_tid, prove_enforcement, set_policy_of};
 
 /// What sends the signal.
@@ -467,18 +468,6 @@ fn suspend(state: &HandlerState, budget_ns: u64) {
     state.refill_at_ns.store(next_ns, Ordering::Relaxed);
     state.end_ns.store(thread_cpu_ns().saturating_add(budget_ns), Ordering::Relaxed);
     set(state, budget_ns);
-}
-
-/// Sets the policy of this thread, by the bare system call: for a signal handler.
-fn schedule(policy: Policy, flags: libc::c_int) -> bool {
-    let (class, priority) = match policy {
-        Policy::Fifo(priority) => (libc::SCHED_FIFO, priority),
-        Policy::RoundRobin(priority) => (libc::SCHED_RR, priority),
-        _ => (libc::SCHED_OTHER, 0),
-    };
-    let param = libc::sched_param { sched_priority: priority.into() };
-    // SAFETY: `param` outlives the call; 0 is the calling thread.
-    unsafe { libc::syscall(libc::SYS_sched_setscheduler, 0, class | flags, &raw const param) == 0 }
 }
 
 /// Returns the signal of the process's budget timers, with its handler installed.

@@ -139,7 +139,9 @@ pub use memory::{
 pub use mutex::{PiGuard, PiMutex};
 pub use noise::Interruptions;
 pub use patience::Patience;
-pub use policy::{Policy, current_policy, policy_of, set_own_priority, set_policy, set_policy_of};
+pub use policy::{
+    Policy, current_policy, policy_of, set_own_priority, set_policy, set_policy_of, switch_own_priority,
+};
 pub use termination::termination_signals;
 pub use thread::{
     JoinHandle, Realtime, ThreadBuilder, ThreadInfo, current_tid, short_name, threads, threads_of,

@@ -129,6 +129,37 @@ pub fn set_own_priority(priority: u8) -> Result<(), RtError> {
     )
 }
 
+/// Gives the current thread another SCHED_FIFO priority, after [`set_own_priority`], without reading it back: for each job of a thread whose
+/// jobs have priorities of their own. Of equal priorities the kernel puts the thread first when it gets a lower one, and last when it gets a
+/// higher one.
+///
+/// # Real-time
+/// One syscall; no allocation unless it fails.
+///
+/// # Errors
+/// As [`set_policy`], except [`RtError::PolicyNotKept`].
+pub fn switch_own_priority(priority: u8) -> Result<(), RtError> {
+    let policy = Policy::Fifo(priority);
+    policy.check()?;
+    // A thread without privileges cannot clear the flag.
+    match schedule(policy, libc::SCHED_RESET_ON_FORK) {
+        true => Ok(()),
+        false => Err(refused(current_tid(), policy, io::Error::last_os_error())),
+    }
+}
+
+/// Sets the policy of this thread, by the bare system call: for a signal handler.
+pub(crate) fn schedule(policy: Policy, flags: libc::c_int) -> bool {
+    let (class, priority) = match policy {
+        Policy::Fifo(priority) => (libc::SCHED_FIFO, priority),
+        Policy::RoundRobin(priority) => (libc::SCHED_RR, priority),
+        _ => (libc::SCHED_OTHER, 0),
+    };
+    let param = libc::sched_param { sched_priority: priority.into() };
+    // SAFETY: `param` outlives the call; 0 is the calling thread.
+    unsafe { libc::syscall(libc::SYS_sched_setscheduler, 0, class | flags, &raw const param) == 0 }
+}
+
 /// Sets the policy of thread `tid` and reads it back.
 ///
 /// # Errors

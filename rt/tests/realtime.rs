@@ -6,7 +6,8 @@ use std::sync::mpsc;
 use tautline_rt::permission::{realtime_permitted, test_needs};
 use tautline_rt::{
     CoreSet, Policy, Realtime, RtError, ThreadBuilder, clock, current_affinity, current_policy, current_tid,
-    page_faults, policy_of, set_affinity, set_affinity_of, set_policy, set_policy_of, threads,
+    page_faults, policy_of, set_affinity, set_affinity_of, set_own_priority, set_policy, set_policy_of,
+    switch_own_priority, threads,
 };
 
 /// Real-time tests need the privilege; with CI set they must run.
@@ -29,6 +30,23 @@ fn policies_read_back() {
             set_policy(policy).unwrap();
             assert_eq!(current_policy().unwrap(), policy);
         }
+    });
+}
+
+#[test]
+fn a_thread_switches_between_priorities_of_its_own() {
+    if !realtime() {
+        return;
+    }
+    on_a_thread(|| {
+        set_own_priority(20).unwrap();
+        for priority in [3, 20, 1, 20] {
+            switch_own_priority(priority).unwrap();
+            assert_eq!(current_policy().unwrap(), Policy::Fifo(priority));
+            let child = std::thread::spawn(|| current_policy().unwrap()).join().unwrap();
+            assert_eq!(child, Policy::Other { nice: 0 });
+        }
+        assert!(matches!(switch_own_priority(0), Err(RtError::BadPriority { priority: 0 })));
     });
 }
 
