@@ -127,16 +127,21 @@ fn warn_of_two(plan: &ThreadPlan, other: &ThreadPlan) {
     }
 }
 
-/// Applies `plan` to this thread, unless one of that priority or a higher one was applied before. Returns whether it was applied.
+/// Applies `plan` to this thread, unless it is applied, or one for another thread with that priority or a higher one. Returns whether it was applied.
 fn become_thread(plan: &Arc<ThreadPlan>) -> Result<bool> {
     let is_applied = |applied: &RefCell<Option<(ProcessMark, Arc<ThreadPlan>)>>| {
         let applied = applied.borrow();
         let Some((_, applied)) = applied.as_ref().filter(|(process, _)| process.is_here()) else {
             return false;
         };
-        if !Arc::ptr_eq(applied, plan) {
-            warn_of_two(plan, applied);
+        if Arc::ptr_eq(applied, plan) {
+            return true;
         }
+        // A context that was made after another one has plans of its own.
+        if applied.name == plan.name {
+            return false;
+        }
+        warn_of_two(plan, applied);
         applied.priority >= plan.priority
     };
     // A thread in shutdown has no thread-locals.

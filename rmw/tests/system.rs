@@ -514,6 +514,35 @@ fn threads_that_the_file_does_not_expect_are_governed_and_named() {
     assert!(errors.contains(text), "{errors}");
 }
 
+/// Two contexts after each other in one thread, and the thread's priority under each.
+const ANEW: &str = r#"
+import os, rclpy
+from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import String
+for _ in range(2):
+    rclpy.init()
+    node = rclpy.create_node("listener", namespace="/one")
+    subscription = node.create_subscription(String, "/one", lambda message: None, 10)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    executor.spin_once(timeout_sec=0)
+    print(os.sched_getparam(0).sched_priority, flush=True)
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.shutdown()
+"#;
+
+/// Each context reads the file; its threads are those of the contexts before it.
+#[test]
+fn a_thread_is_that_of_the_file_under_a_later_context() {
+    let Some(domain) = Domain::new(122).filter(|_| may_be_realtime()) else { return };
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), wrong_file(0, "")).unwrap();
+    let (is_good, out, errors) = words_of(domain.python(ANEW).env("TAUT_SYSTEM", file.path()));
+    assert!(is_good && out == "40\n40\n", "{out}{errors}");
+    assert!(!errors.contains("threads of the system file"), "{errors}");
+}
+
 /// Without rights, and under a file for another machine, a node is refused, with the fix; that it is only measured is a choice.
 #[test]
 fn a_file_that_cannot_be_kept_to_here_is_refused() {
