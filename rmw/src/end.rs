@@ -156,11 +156,12 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
     /// Takes a message, which ends this thread's previous job.
     ///
     /// # Real-time
-    /// As `take`, as [`with`](Self::with), and as [`job::end`].
+    /// As `take`, as [`with`](Self::with), as [`thread::raise`], and as [`job::end`].
     pub(crate) fn take(
         &self,
         take: impl FnOnce(&P) -> std::result::Result<Option<RawSample>, TakeError>,
     ) -> std::result::Result<Option<RawSample>, TakeError> {
+        thread::raise();
         job::end();
         let (port, route) = &mut *self.side.lock();
         let taken = take(port);
@@ -175,7 +176,7 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
     /// use callbacks for new messages do not wait here, so the end of their jobs is unknown.
     ///
     /// # Real-time
-    /// As [`Jobs::begin`].
+    /// As [`Jobs::begin`], and as [`thread::run_at`].
     pub(crate) fn begin(&self, info: &MessageInfo) -> i64 {
         let now_ns = monotonic_ns();
         if let Some(plan) = self.thread() {
@@ -186,6 +187,9 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
                 self.with(|port| port.subscription().forget_max_queue());
             }
             self.jobs.begin(info.released_ns, now_ns);
+            if let (Some(plan), Some(priority)) = (self.thread(), self.rank()) {
+                thread::run_at(plan, priority);
+            }
         }
         let age_ns = now_ns.saturating_sub(info.released_ns);
         wall_ns().saturating_sub(i64::try_from(age_ns).unwrap_or(0))

@@ -25,7 +25,7 @@ pub(crate) struct Jobs {
     is_measured: bool,
     /// Lost messages reported so far.
     noted: AtomicU64,
-    /// The callback's rank, if its thread is to run the highest first.
+    /// The callback's rank, if its thread is to run the highest first; also the priority at which it does, if the file says so.
     pub(crate) rank: Option<u8>,
     /// The thread to which the system file assigns the callback.
     pub(crate) thread: Option<Arc<ThreadPlan>>,

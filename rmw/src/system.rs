@@ -464,9 +464,8 @@ fn unshared(name: &str, error: &std::io::Error) -> Error {
 fn plans(callbacks: &[CheckedCallback]) -> Vec<Option<Arc<ThreadPlan>>> {
     let mut plans: Vec<Option<Arc<ThreadPlan>>> = Vec::new();
     for callback in callbacks {
-        let plan = ThreadPlan::of(callback);
-        let known = plans.iter().flatten().find(|known| known.name == plan.name).cloned();
-        plans.push(Some(known.unwrap_or_else(|| Arc::new(plan))));
+        let known = plans.iter().flatten().find(|known| known.name == callback.entry.thread).cloned();
+        plans.push(Some(known.unwrap_or_else(|| Arc::new(ThreadPlan::of(callback, callbacks)))));
     }
     plans
 }

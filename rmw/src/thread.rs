@@ -1,12 +1,15 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Threads of the system file: the thread that waits for a callback's messages runs that callback, and gets the priority and core that
 //! the file states.
+//!
+//! A group may state that its thread has the running callback's priority. Such a thread has the highest of them, its ceiling, except from a
+//! take until it takes again or waits: an RMW does not see a callback's end.
 
 use crate::error::{Error, Result};
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use tautline_analysis::file::{CheckedCallback, OverrunPolicy};
+use tautline_analysis::file::{CallbackEntry, CheckedCallback, OverrunPolicy};
 use tautline_executor::foreign;
 use tautline_rt::fork::{ProcessMark, ProcessMutex};
 use tautline_rt::{CoreSet, MemoryLock, Policy, RtError, ThreadBuilder, prove_enforcement};
@@ -16,7 +19,10 @@ use tautline_rt::{CoreSet, MemoryLock, Policy, RtError, ThreadBuilder, prove_enf
 pub(crate) struct ThreadPlan {
     /// Its unique name in the file: `cb:` and the callback or group.
     pub(crate) name: String,
+    /// That with which it waits.
     pub(crate) priority: u8,
+    /// The lowest priority of its callbacks, if it runs each at its own.
+    lowest: Option<u8>,
     core: usize,
     /// Whether the thread's callback is held to its budget; it is then the only callback of the thread.
     holds: bool,
@@ -24,9 +30,32 @@ pub(crate) struct ThreadPlan {
     tid: AtomicU32,
 }
 
+/// The plan applied to a thread.
+struct Applied {
+    plan: Arc<ThreadPlan>,
+    /// The process that applied it: a forked child's thread is ordinary.
+    process: ProcessMark,
+    /// The thread's priority: the plan's, or the running callback's; `None` if it was refused, for good.
+    priority: Cell<Option<u8>>,
+}
+
+impl Applied {
+    /// Gives this thread another priority.
+    fn switch(&self, priority: u8) {
+        if self.priority.get().is_none_or(|own| own == priority) {
+            return;
+        }
+        let switched = tautline_rt::switch_own_priority(priority);
+        // Logged once.
+        self.priority.set(switched.is_ok().then_some(priority));
+        if let Err(error) = switched {
+            warn_of_refusal(&self.plan.refused(error));
+        }
+    }
+}
+
 thread_local! {
-    /// The plan applied to this thread, and the process that applied it: a forked child's thread is ordinary.
-    static APPLIED: RefCell<Option<(ProcessMark, Arc<ThreadPlan>)>> = const { RefCell::new(None) };
+    static APPLIED: RefCell<Option<Applied>> = const { RefCell::new(None) };
 }
 
 /// Whether memory is locked.
@@ -35,10 +64,14 @@ static IS_PREPARED: ProcessMutex<bool> = ProcessMutex::new(false, || false);
 static IS_WARNED: AtomicBool = AtomicBool::new(false);
 
 impl ThreadPlan {
-    pub(crate) fn of(callback: &CheckedCallback) -> Self {
-        let (name, priority) = (callback.entry.thread.clone(), callback.entry.priority);
-        let holds = callback.entry.overrun == OverrunPolicy::Demote;
-        ThreadPlan { name, priority, core: callback.core, holds, tid: AtomicU32::new(0) }
+    /// The thread of `callback`, one of `all`.
+    pub(crate) fn of(callback: &CheckedCallback, all: &[CheckedCallback]) -> Self {
+        let CallbackEntry { thread: name, priority, overrun, .. } = &callback.entry;
+        let own = all.iter().map(|of| &of.entry).filter(|of| of.thread == *name);
+        let lowest = own.map(CallbackEntry::running_priority).min().filter(|lowest| lowest < priority);
+        let (name, priority, core) = (name.clone(), *priority, callback.core);
+        let holds = *overrun == OverrunPolicy::Demote;
+        ThreadPlan { name, priority, lowest, core, holds, tid: AtomicU32::new(0) }
     }
 
     fn refused(&self, error: RtError) -> Error {
@@ -60,12 +93,15 @@ impl ThreadPlan {
         is_permitted.map_err(|error| self.refused(error))
     }
 
-    /// Gives this thread its priority and core, and reads both back. Threads that it starts are ordinary again.
+    /// Gives this thread its priority and core, and reads both back, as before that the lowest priority of its callbacks. Threads that it
+    /// starts are ordinary again.
     fn apply(&self) -> Result {
         let refuse = |error| self.refused(error);
         prepare().map_err(refuse)?;
         tautline_rt::prefault_stack(ThreadBuilder::STACK_BYTES / 4);
-        tautline_rt::set_own_priority(self.priority).map_err(refuse)?;
+        for priority in self.lowest.into_iter().chain([self.priority]) {
+            tautline_rt::set_own_priority(priority).map_err(refuse)?;
+        }
         tautline_rt::set_affinity(CoreSet::one(self.core)).map_err(refuse)?;
         foreign::hold_to_budgets(Policy::Fifo(self.priority), self.holds).map_err(refuse)?;
         let (tid, name) = (tautline_rt::current_tid(), &self.name);
@@ -76,7 +112,9 @@ impl ThreadPlan {
                  hold; use one executor for them, with one thread, or name two groups in the file"
             );
         }
-        tracing::info!("this thread is '{}' of the system file: SCHED_FIFO {}", self.name, self.priority);
+        let lower = self.lowest.map(|lowest| format!(", in callbacks their own, from {lowest} on"));
+        let lower = lower.unwrap_or_default();
+        tracing::info!("this thread is '{name}' of the system file: SCHED_FIFO {}{lower}", self.priority);
         Ok(())
     }
 }
@@ -127,13 +165,11 @@ fn warn_of_two(plan: &ThreadPlan, other: &ThreadPlan) {
     }
 }
 
-/// Applies `plan` to this thread, unless it is applied, or one for another thread with that priority or a higher one. Returns whether it was applied.
+/// Applies `plan` to this thread, unless it is applied, or one for another thread with that priority or a higher one. Returns whether it
+/// was applied.
 fn become_thread(plan: &Arc<ThreadPlan>) -> Result<bool> {
-    let is_applied = |applied: &RefCell<Option<(ProcessMark, Arc<ThreadPlan>)>>| {
-        let applied = applied.borrow();
-        let Some((_, applied)) = applied.as_ref().filter(|(process, _)| process.is_here()) else {
-            return false;
-        };
+    let is_applied = |applied: &Applied| {
+        let Applied { plan: applied, .. } = applied;
         if Arc::ptr_eq(applied, plan) {
             return true;
         }
@@ -145,16 +181,27 @@ fn become_thread(plan: &Arc<ThreadPlan>) -> Result<bool> {
         applied.priority >= plan.priority
     };
     // A thread in shutdown has no thread-locals.
-    let is_new = !APPLIED.try_with(is_applied).unwrap_or(true);
+    let is_new = APPLIED.try_with(|applied| !with(applied, is_applied).unwrap_or(false)).unwrap_or(false);
     if is_new {
         plan.apply()?;
-        note_applied(plan);
+        note_applied(plan, true);
     }
     Ok(is_new)
 }
 
-fn note_applied(plan: &Arc<ThreadPlan>) {
-    let _ = APPLIED.try_with(|applied| applied.replace(Some((ProcessMark::new(), plan.clone()))));
+/// What is applied to this thread in this process.
+fn with<R>(applied: &RefCell<Option<Applied>>, using: impl FnOnce(&Applied) -> R) -> Option<R> {
+    applied.borrow().as_ref().filter(|applied| applied.process.is_here()).map(using)
+}
+
+fn note_applied(plan: &Arc<ThreadPlan>, is_governed: bool) {
+    let priority = Cell::new(is_governed.then_some(plan.priority));
+    let new = Applied { plan: plan.clone(), process: ProcessMark::new(), priority };
+    let _ = APPLIED.try_with(|applied| applied.replace(Some(new)));
+}
+
+fn warn_of_refusal(error: &Error) {
+    tracing::warn!("thread {} stays as it is: {error:?}", tautline_rt::current_tid());
 }
 
 /// Governs this thread, which runs a callback, as it has taken its message or published what only this callback publishes. Returns whether
@@ -164,9 +211,9 @@ fn note_applied(plan: &Arc<ThreadPlan>) {
 /// As [`govern`].
 pub(crate) fn govern_runner(plan: &Arc<ThreadPlan>) -> bool {
     become_thread(plan).unwrap_or_else(|error| {
-        tracing::warn!("thread {} stays as it is: {error:?}", tautline_rt::current_tid());
+        warn_of_refusal(&error);
         // Logged once.
-        note_applied(plan);
+        note_applied(plan, false);
         false
     })
 }
@@ -185,4 +232,28 @@ pub(crate) fn govern_taker(plan: &Arc<ThreadPlan>) {
             plan.name
         );
     }
+}
+
+/// Gives this thread the priority of the callback whose message it has taken, if it is the callback's thread and the file states that it runs
+/// each at its own: until [`raise`].
+///
+/// # Real-time
+/// At most one syscall; no allocation.
+pub(crate) fn run_at(plan: &Arc<ThreadPlan>, priority: u8) {
+    if plan.lowest.is_some() {
+        let switch = |applied: &Applied| {
+            if Arc::ptr_eq(&applied.plan, plan) {
+                applied.switch(priority);
+            }
+        };
+        let _ = APPLIED.try_with(|applied| with(applied, switch));
+    }
+}
+
+/// Gives this thread, which takes or waits, the priority of its plan again.
+///
+/// # Real-time
+/// A few loads, and one syscall after [`run_at`] another priority; no allocation.
+pub(crate) fn raise() {
+    let _ = APPLIED.try_with(|applied| with(applied, |applied| applied.switch(applied.plan.priority)));
 }

@@ -351,6 +351,7 @@ pub unsafe extern "C" fn rmw_wait(
         wait_set.waiters.check_process()?;
         let _turn = Turn::of(wait_set)?;
         if wait_set.is_measured {
+            thread::raise();
             wanted.govern()?;
         }
         let timeout_ns = timeout.map(|time| time.sec.saturating_mul(1_000_000_000).saturating_add(time.nsec));

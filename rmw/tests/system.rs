@@ -307,6 +307,103 @@ fn threads_of_unchanged_executors_are_those_of_the_system_file() {
     assert_eq!(run("off"), ["/fast", "/slow", "/unlisted"].map(ordinary).concat());
 }
 
+/// Each callback of one executor tells the priority of its thread; 0: an ordinary one.
+const LOWERED: &str = r#"
+import os, rclpy, threading
+from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import String
+rclpy.init()
+node, source, seen = rclpy.create_node("listener"), rclpy.create_node("source"), []
+def own():
+    is_fifo = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
+    return os.sched_getparam(0).sched_priority if is_fifo else 0
+def tell(what):
+    started = []
+    thread = threading.Thread(target=lambda: started.append(own()))
+    thread.start()
+    thread.join()
+    assert started == [0], "what it starts is ordinary"
+    seen.append(f"{what} {own()}")
+topics = ["/low", "/unlisted", "/high", "/middle"]
+subscriptions = {topic: node.create_subscription(String, topic, lambda message: tell(message.data), 10) for topic in topics}
+publishers = {topic: source.create_publisher(String, topic, 10) for topic in topics}
+while any(publisher.get_subscription_count() < 1 for publisher in publishers.values()): pass
+executor = SingleThreadedExecutor()
+executor.add_node(node)
+def spin():
+    count = len(seen)
+    while len(seen) == count: executor.spin_once()
+def publish(topic): publishers[topic].publish(String(data=topic[1:]))
+def run_low():
+    publish("/low")
+    spin()
+for topic in topics: publish(topic)
+for _ in topics: spin()
+run_low()
+tell("then")
+with subscriptions["/high"].handle: assert subscriptions["/high"].handle.take_message(String, False) is None
+tell("taken")
+run_low()
+executor.spin_once(timeout_sec=0)
+tell("waited")
+run_low()
+def tick():
+    timer.cancel()
+    tell("timer")
+timer = node.create_timer(0.001, tick)
+while not timer.is_ready(): pass
+spin()
+run_low()
+child = os.fork()
+if child == 0:
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    other, its = rclpy.create_node("other", context=context), SingleThreadedExecutor(context=context)
+    its.add_node(other)
+    its.spin_once(timeout_sec=0)
+    print(f"child {own()}", flush=True)
+    os._exit(0)
+os.waitpid(child, 0)
+print(", ".join(seen))
+rclpy.shutdown()
+"#;
+
+/// A thread has the priority of the callback that it runs, and the ceiling wherever an RMW sees no callback.
+#[test]
+fn a_thread_has_the_priorities_of_its_callbacks_where_the_file_says_so() {
+    let Some(domain) = Domain::new(123).filter(|_| may_be_realtime()) else { return };
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let mut text = "[hosts.here]\ncores = 1\nsampler_priority = 90\n[overheads]\nrclpy = \"1ms\"\n[nodes.listener]\nclient = \"rclpy\"\n\
+                    [groups.all]\norder = \"priority\"\nthread_priority = \"callback\"\n\
+                    [callbacks.tick]\nperiod = \"1s\"\ngroup = \"all\"\nwcet = \"1ms\"\n"
+        .to_owned();
+    for (name, priority) in [("high", 30), ("middle", 20), ("low", 10)] {
+        text += &format!(
+            "[callbacks.{name}]\ntopic = \"/{name}\"\ngroup = \"all\"\npriority = {priority}\nwcet = \"1ms\"\n[topics.\"/{name}\"]\nperiod = \"1s\"\n"
+        );
+    }
+    let run = |text: &str, realtime: &str| {
+        std::fs::write(file.path(), text).unwrap();
+        let mut command = domain.python(LOWERED);
+        command.env("TAUT_SYSTEM", file.path()).env("TAUT_REALTIME", realtime);
+        let (is_good, out, errors) = words_of(&mut command);
+        assert!(is_good, "{errors}");
+        out
+    };
+    assert_eq!(
+        run(&text, "required"),
+        "child 0\nhigh 30, middle 20, low 10, unlisted 30, low 10, then 10, taken 30, low 10, waited 30, low 10, timer 30, low 10\n"
+    );
+    let of_group = text.replace("thread_priority = \"callback\"", "priority = 40");
+    let all = |own: u8| {
+        ["high", "middle", "low", "unlisted", "low", "then", "taken", "low", "waited", "low", "timer", "low"]
+            .map(|what| format!("{what} {own}"))
+            .join(", ")
+    };
+    assert_eq!(run(&of_group, "required"), format!("child 0\n{}\n", all(40)));
+    assert_eq!(run(&text, "off"), format!("child 0\n{}\n", all(0)));
+}
+
 /// A subscription, one that no file has, and a service; their callbacks run in the ways that `argv` names.
 const WRONG: &str = r#"
 import os, rclpy, sys, threading, time
