@@ -290,6 +290,15 @@ fn callbacks_without_a_job_are_nothing_to_compare() {
         let output = taut(&[&["--domain", "152", "--json"], wcet].concat());
         assert_eq!((output.status.code(), &json(&output)["kept"]), (Some(2), &false.into()), "{wcet:?}");
     }
+    // Of some executors there never is one.
+    let events = "[nodes.driver]\nclient = \"rclcpp\"\nexecutor = \"events\"";
+    let events = scratch.write("events.toml", &SYSTEM.replace("[nodes.driver]", events));
+    for (file, seen) in [(system, "no job has ended yet of"), (events, "sees no end of its callbacks")] {
+        let report = json(&taut(&[file.to_str().unwrap(), "--domain", "152", "--json"]));
+        let ways = ["no job has ended yet of", "sees no end of its callbacks"];
+        let notes = report["notes"].to_string();
+        assert!(ways.iter().all(|way| notes.contains(way) == (*way == seen)), "{notes}");
+    }
 }
 
 /// What a host takes is not to be had at will: it is put into a saved run.

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use tautline::{HistogramSnapshot, Policy};
-use tautline_analysis::file::{CheckedCallback, CheckedChain, CheckedSystem, Client, SystemFile};
+use tautline_analysis::file::{CheckedCallback, CheckedChain, CheckedSystem, Client, Executor, SystemFile};
 
 use super::explain::{self, Mark};
 use super::host::{Host, Share};
@@ -463,9 +463,18 @@ fn notes(file: &SystemFile, checked: &CheckedSystem, run: &Run, rows: &[Row], ho
     let names = |which: &dyn Fn(&Row) -> bool| -> Vec<String> {
         rows.iter().filter(|row| which(row)).map(|row| row.predicted.entry.name.clone()).collect()
     };
-    let idle = names(&|row| row.measured.as_ref().is_some_and(|seen| seen.callback.completions == 0));
+    let is_idle = |row: &Row| row.measured.as_ref().is_some_and(|seen| seen.callback.completions == 0);
+    let is_unseen = |row: &Row| row.predicted.entry.executor == Executor::Events;
+    let idle = names(&|row| is_idle(row) && !is_unseen(row));
     if !idle.is_empty() {
         notes.push(format!("no job has ended yet of {}: nothing is known of it", list(idle)));
+    }
+    let unseen = names(&|row| is_idle(row) && is_unseen(row));
+    if !unseen.is_empty() {
+        notes.push(format!(
+            "nothing is measured of {}: an EventsExecutor does not wait in the RMW, which sees no end of its callbacks; measure in another executor",
+            list(unseen)
+        ));
     }
     let unmeasured = names(&|row| {
         let is_it = |seen: &Measured| !seen.callback.measures_execution && !seen.callback.is_by_publications;
