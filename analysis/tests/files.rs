@@ -733,6 +733,9 @@ fn a_callback_that_is_demoted_costs_what_the_file_says_and_has_a_thread_of_its_o
     for policy in ["suspend", "end"] {
         expect(&foreign(policy), &[(20, "which can neither sleep nor end in a callback: say \"demote\"")]);
     }
+    let events =
+        foreign("demote").replace("client = \"rclcpp\"", "client = \"rclcpp\"\nexecutor = \"events\"");
+    expect(&events, &[(21, "but is run by an EventsExecutor, where rmw_tautline sees no end of a callback")]);
     let timer = "[hosts.h]\ncores = 1\n[nodes.n]\nclient = \"rclpy\"\n[callbacks.t]\nperiod = \"1s\"\nwcet = \"1ms\"\n\
                  overrun = \"demote\"\n";
     expect(timer, &[(8, "is a timer of ROS 2's")]);

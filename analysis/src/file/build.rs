@@ -529,6 +529,11 @@ fn hold(file: &Declared, places: &[Option<Place>], streams: &Streams, problems: 
                 "is run by an executor of ROS 2's, which can neither sleep nor end in a callback: say \"demote\" or \"tell\"",
             );
         }
+        if place.is_some_and(|place| file.nodes[place.node].executor() == Executor::Events) {
+            problem(
+                "is run by an EventsExecutor, where rmw_tautline sees no end of a callback: use a SingleThreadedExecutor, or leave out `overrun`",
+            );
+        }
         if is_of_ros && callback.topics.is_empty() {
             problem("is a timer of ROS 2's, which rmw_tautline does not see: leave out `overrun`");
         }
