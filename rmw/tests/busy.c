@@ -3,7 +3,7 @@
 //   busy NODE -- TOPIC MICROSECONDS [TOPIC MICROSECONDS ...] [-- ...]
 // It says `runs` once all threads have waited, and at the end of its input what they did, with times of CLOCK_MONOTONIC in ns:
 //   thread THREAD IS_FIFO PRIORITY FAULTS    FAULTS: page faults of its jobs, but of those whose NUMBER is FIRST
-//   job THREAD CALLBACK NUMBER WAITS READY BEGINS ENDS    WAITS and READY: before and after the wait that reported it
+//   job THREAD CALLBACK NUMBER PRIORITY WAITS READY BEGINS ENDS    WAITS and READY: before and after the wait that reported it
 //   gap THREAD FROM TO                                    the thread did not run, and did not sleep
 
 #define _GNU_SOURCE
@@ -39,6 +39,7 @@ struct callback {
 struct job {
   size_t callback;
   uint64_t number;
+  int priority;
   int64_t waits_ns, ready_ns, begins_ns, ends_ns;
 };
 
@@ -79,6 +80,13 @@ static int64_t clock_ns(clockid_t clock)
 static int64_t now_ns(void)
 {
   return clock_ns(CLOCK_MONOTONIC);
+}
+
+static int own_priority(void)
+{
+  struct sched_param parameters;
+  sched_getparam(0, &parameters);
+  return parameters.sched_priority;
 }
 
 static void note_gap(struct thread * thread, int64_t from_ns, int64_t to_ns)
@@ -144,10 +152,8 @@ static void * run(void * of)
     since = note_since(thread, since);
     int64_t ready_ns = since.now_ns;
     if (patience_ns == 0) {
-      struct sched_param parameters;
-      sched_getparam(0, &parameters);
       thread->is_fifo = (sched_getscheduler(0) & ~SCHED_RESET_ON_FORK) == SCHED_FIFO;
-      thread->priority = parameters.sched_priority;
+      thread->priority = own_priority();
       patience_ns = PATIENCE_NS;
       waiting++;
     }
@@ -162,7 +168,7 @@ static void * run(void * of)
       }
       check(rcl_take(set.subscriptions[i], &message, NULL, NULL), "take");
       note_since(thread, since);
-      struct job job = {i, message.data, waits_ns, ready_ns, now_ns(), 0};
+      struct job job = {i, message.data, own_priority(), waits_ns, ready_ns, now_ns(), 0};
       work(thread, thread->callbacks[i].busy_ns);
       struct mark end = mark();
       thread->faults += job.number == FIRST ? 0 : end.faults - since.faults;
@@ -228,8 +234,8 @@ int main(int count, char ** arguments)
     for (size_t n = 0; n < thread->job_count; n++) {
       struct job * job = &thread->jobs[n];
       printf(
-        "job %d %zu %lu %ld %ld %ld %ld\n", i, job->callback, job->number, job->waits_ns, job->ready_ns,
-        job->begins_ns, job->ends_ns);
+        "job %d %zu %lu %d %ld %ld %ld %ld\n", i, job->callback, job->number, job->priority, job->waits_ns,
+        job->ready_ns, job->begins_ns, job->ends_ns);
     }
     for (size_t n = 0; n < thread->gap_count; n++) {
       printf("gap %d %ld %ld\n", i, thread->gaps[n].from_ns, thread->gaps[n].to_ns);

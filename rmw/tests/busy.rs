@@ -129,6 +129,8 @@ struct Job {
     /// Of its thread.
     callback: usize,
     number: usize,
+    /// Of the thread while it ran.
+    priority: u64,
     /// From before the wait that reported it until after that.
     wait: Span,
     ends_ns: u64,
@@ -155,12 +157,10 @@ fn parsed(text: &str, threads: usize) -> Vec<Executor> {
                 (executor.fifo_priority, executor.faults) = ((is_fifo == 1).then_some(priority), faults);
             }
             ("job", &[_, FIRST, ..]) => {}
-            ("job", &[callback, number, waits_ns, ready_ns, _, ends_ns]) => executor.jobs.push(Job {
-                callback: callback as usize,
-                number: number as usize,
-                wait: (waits_ns, ready_ns),
-                ends_ns,
-            }),
+            ("job", &[callback, number, priority, waits_ns, ready_ns, _, ends_ns]) => {
+                let (callback, number, wait) = (callback as usize, number as usize, (waits_ns, ready_ns));
+                executor.jobs.push(Job { callback, number, priority, wait, ends_ns });
+            }
             ("gap", &[from_ns, to_ns]) => executor.gaps.push((from_ns, to_ns)),
             _ => panic!("{line}"),
         }
@@ -401,6 +401,7 @@ fn a_program_on_rcl_keeps_order_and_bounds() {
             let priority = group_priority(thread).into();
             let executor = &seen_here.executors[thread];
             assert_eq!(executor.fifo_priority, Some(priority));
+            assert!(executor.jobs.iter().all(|job| job.priority == priority), "a job at another priority");
             // A page of code may be read as it first runs, such as when a job is late.
             assert!(executor.faults <= 3, "{} page faults in {} jobs", executor.faults, executor.jobs.len());
             let simulated = seen.steps.iter().filter_map(|(_, step)| match step {
