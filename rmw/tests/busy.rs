@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Random systems of unchanged nodes under `order = "priority"`: a program on rcl alone (`busy.c`), with a thread for each group, gets the
 //! messages of the analysis's simulation at their times. Each thread's jobs begin in the order that the simulation's rule gives, none has a page
-//! fault, and none takes longer than its bound, except for what something else took from the core, which is measured beside.
+//! fault, each thread has its group's priority or those of its callbacks, and no job takes longer than its bound, except for what something else
+//! took from the core, which is measured beside.
 //! `SYSTEMS` says how many (1,000 take seven minutes, for which nextest does not wait, but `cargo test` does), `TAUT_SEED` which.
 
 #[path = "../../analysis/tests/runtime/mod.rs"]
@@ -37,6 +38,8 @@ const EXECUTOR: u64 = 60;
 const LATENESS: u64 = 1_000;
 /// Of the thread that sees, just above the executors, when the core is had.
 const WATCH_PRIORITY: u8 = 20;
+/// Of callbacks whose threads have their priorities: for each thread others, and none that a group has.
+const OWN_PRIORITIES: [[u8; 4]; 3] = [[2, 8, 11, 17], [3, 9, 14, 18], [4, 6, 12, 15]];
 
 /// One to three executors on a core, each with two to five subscriptions.
 fn executors(rng: &mut StdRng) -> Model {
@@ -44,12 +47,17 @@ fn executors(rng: &mut StdRng) -> Model {
     let load = rng.random_range(0.3..0.75);
     let sizes: Vec<usize> = (0..rng.random_range(1..=3)).map(|_| rng.random_range(2..=5)).collect();
     let count: usize = sizes.iter().sum();
+    let order = |_| if rng.random_bool(0.5) { Order::Lowered } else { Order::Rank };
+    let groups: Vec<Order> = sizes.iter().map(order).collect();
     let mut one = |group: usize| {
         let period = [4_000, 5_000, 8_000, 10_000, 20_000, 40_000][rng.random_range(0..6)];
         let jitter = if rng.random_bool(0.3) { rng.random_range(0..period) } else { 0 };
         let share = load * rng.random_range(0.3..1.7) / count as f64;
         let wcet = ((period as f64 * share) as u64).saturating_sub(2 * EXECUTOR).max(50);
-        let (priority, group) = (rng.random_range(1..=4), Some(group));
+        let rank: u8 = rng.random_range(1..=4);
+        let is_lowered = groups[group] == Order::Lowered;
+        let priority = if is_lowered { OWN_PRIORITIES[group][usize::from(rank) - 1] } else { rank };
+        let group = Some(group);
         let own =
             Callback { period, jitter, wcet, bcet: wcet, priority, group, ..callback(HERE, Vec::new()) };
         Callback { is_outside: true, ..own }
@@ -58,7 +66,7 @@ fn executors(rng: &mut StdRng) -> Model {
         sizes.iter().enumerate().flat_map(|(group, size)| vec![group; *size]).map(&mut one).collect();
     Model {
         hosts: vec![0],
-        groups: vec![Order::Rank; sizes.len()],
+        groups,
         per_message: vec![20],
         switch: 10,
         executors: vec![Some(EXECUTOR)],
@@ -243,14 +251,15 @@ impl Observed {
         }
     }
 
-    /// When something else had the core: no thread of the program that is above the one that had it.
+    /// When something else had the core: no thread of the program.
     fn taken(&self) -> Vec<Span> {
-        let of = |thread: usize| {
-            let above = self.executors[thread + 1..].iter().flat_map(|executor| &executor.jobs);
-            let above = union(above.map(|job| (job.wait.1, job.ends_ns)).collect());
-            without(&self.executors[thread].gaps, &above)
-        };
-        union((0..self.executors.len()).flat_map(of).chain(self.wakes.iter().copied()).collect())
+        let ran = self.executors.iter().flat_map(|executor| {
+            let jobs = executor.jobs.iter().map(|job| (job.wait.1, job.ends_ns));
+            without(&jobs.collect::<Vec<_>>(), &union(executor.gaps.clone()))
+        });
+        let ran = union(ran.collect());
+        let gaps = self.executors.iter().flat_map(|executor| without(&executor.gaps, &ran));
+        union(gaps.chain(self.wakes.iter().copied()).collect())
     }
 
     /// What waited in vain, for a newer message took its place: from its release until then.
@@ -374,7 +383,7 @@ fn a_program_on_rcl_keeps_order_and_bounds() {
     let seed = number("TAUT_SEED").unwrap_or_else(|| rand::random::<u32>().into());
     let folder = tempfile::tempdir().unwrap();
     let program = compiled(&domain.venv, folder.path());
-    let (mut threads, mut jobs, mut alike, mut late, mut repeated) = (0, 0, 0, 0, 0);
+    let (mut threads, mut lowered, mut jobs, mut alike, mut late, mut repeated) = (0, 0, 0, 0, 0, 0);
     for seed in (0..systems).map(|system| seed + system) {
         println!("TAUT_SEED={seed} SYSTEMS=1");
         let mut rng = StdRng::seed_from_u64(seed);
@@ -398,10 +407,15 @@ fn a_program_on_rcl_keeps_order_and_bounds() {
             assert!(seen.responses[i] * 1_000 <= of.bound_ns.unwrap(), "{}: the simulation is late", of.name);
         }
         for (thread, members) in seen_here.members.iter().enumerate() {
-            let priority = group_priority(thread).into();
+            let ceiling = model.ceiling(thread);
             let executor = &seen_here.executors[thread];
-            assert_eq!(executor.fifo_priority, Some(priority));
-            assert!(executor.jobs.iter().all(|job| job.priority == priority), "a job at another priority");
+            let waits = ceiling.unwrap_or(group_priority(thread));
+            assert_eq!(executor.fifo_priority, Some(u64::from(waits)));
+            for job in &executor.jobs {
+                let own = ceiling.map_or(waits, |_| model.callbacks[members[job.callback]].priority);
+                assert_eq!(job.priority, u64::from(own), "of thread {thread}");
+            }
+            lowered += usize::from(ceiling.is_some());
             // A page of code may be read as it first runs, such as when a job is late.
             assert!(executor.faults <= 3, "{} page faults in {} jobs", executor.faults, executor.jobs.len());
             let simulated = seen.steps.iter().filter_map(|(_, step)| match step {
@@ -414,6 +428,6 @@ fn a_program_on_rcl_keeps_order_and_bounds() {
         }
     }
     println!(
-        "{systems} systems, {jobs} jobs; {alike} of {threads} threads all in the order of the simulation; {late} jobs late for something else; {repeated} runs repeated"
+        "{systems} systems, {jobs} jobs; {lowered} of {threads} threads have their callbacks' priorities, {alike} are all in the order of the simulation; {late} jobs late for something else; {repeated} runs repeated"
     );
 }
