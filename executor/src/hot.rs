@@ -249,6 +249,9 @@ impl Measured {
         }
         if self.enforcer.as_ref().is_some_and(BudgetEnforcer::end) {
             self.stats.demoted();
+            if !std::ptr::eq(of, &*self.stats) {
+                of.demoted();
+            }
         }
         let is_exact = self.enforcer.is_some();
         let execution_ns = self.stopwatch.as_ref().map(|stopwatch| stopwatch.lap(now_ns, is_exact));

@@ -217,7 +217,7 @@ fn a_group_holds_each_member_to_its_own_budget() {
     if !realtime() {
         return;
     }
-    let (log, mut group) = (Log::default(), CallbackGroup::new());
+    let (log, mut group, mut members) = (Log::default(), CallbackGroup::new(), Vec::new());
     for (name, budget, work, releases) in
         [("modest", budget() * 20, budget() * 2, [1, 3]), ("greedy", budget(), budget() * 2, [2, 4])]
     {
@@ -235,11 +235,16 @@ fn a_group_holds_each_member_to_its_own_budget() {
             },
         );
         stats.set_budget(Some(budget));
+        members.push(stats);
     }
     let executor = Executor::new(Realtime::Required);
     let options = CallbackOptions::fifo(20).name("group").demote_on_overrun();
-    executor.spawn_group(options, group).unwrap().join().unwrap();
+    let callback = executor.spawn_group(options, group).unwrap();
+    members.push(callback.stats().clone());
+    callback.join().unwrap();
     assert_eq!(log.events(), ["modest own", "greedy below", "modest own", "greedy below"]);
+    // Of the members, and of the whole group.
+    assert_eq!(members.iter().map(|stats| stats.demotions()).collect::<Vec<_>>(), [0, 2, 2]);
 }
 
 #[test]
