@@ -146,16 +146,22 @@ impl OwnPriority {
         if self.is_round_robin { Policy::RoundRobin(priority) } else { Policy::Fifo(priority) }
     }
 
-    /// Restores the thread's own priority, which other threads may change meanwhile.
-    fn resume(&self) {
+    /// Restores the thread's own priority, which other threads may change meanwhile. False if the kernel refuses, because the process no
+    /// longer has the privilege: the thread then stays demoted.
+    fn resume(&self) -> bool {
         self.lowered.store(false, Ordering::SeqCst);
         // A thread that changes the priority later sets the policy, too.
         for _ in 0..8 {
             let policy = self.policy();
-            if !schedule(policy, self.flags) || self.policy() == policy {
-                return;
+            if !schedule(policy, self.flags) {
+                self.lowered.store(true, Ordering::SeqCst);
+                return false;
+            }
+            if self.policy() == policy {
+                break;
             }
         }
+        true
     }
 
     /// Gives thread `tid` another priority.
@@ -312,14 +318,13 @@ impl BudgetTimer {
     }
 
     /// Ends the enforcement of the budget. Returns whether the thread was demoted; if so, it gets its priority
-    /// back.
+    /// back. If the kernel refuses that, the thread stays demoted, and the next call tries again.
     ///
     /// # Real-time
     /// No allocation; no wait; at most one syscall, one more if it was demoted.
     pub fn disarm(&self) -> bool {
         let demoted = self.disarm_for_good();
-        if demoted {
-            self.own.resume();
+        if demoted && self.own.resume() {
             STATE.with(|state| state.demoted.store(false, Ordering::Relaxed));
         }
         demoted
@@ -533,6 +538,8 @@ mod tests {
     use crate::clock::{burn_cpu, monotonic_ns, sleep_until_monotonic, test_time};
     use crate::permission::{realtime_permitted, test_needs};
     use crate::{Realtime, ThreadBuilder, current_policy, prove_enforcement_by};
+    use rustix::process::{Resource, getrlimit};
+    use rustix::thread::{CapabilitySet, capabilities, set_capabilities};
     use std::sync::{Mutex, MutexGuard, PoisonError};
 
     const PRIORITY: u8 = 10;
@@ -608,6 +615,28 @@ mod tests {
             assert!(timer.disarm() && current_policy().unwrap() == policy);
             drop(timer);
             assert!(BudgetTimer::new(own()).is_ok());
+        });
+    }
+
+    /// As of a program that gives up its privilege after its start.
+    #[test]
+    fn who_does_not_get_its_priority_back_stays_demoted() {
+        on_threads(|timer, own| {
+            let sets = capabilities(None).unwrap();
+            if getrlimit(Resource::Rtprio).current != Some(0) {
+                return println!("skipped: without the privilege there is still a limit to use");
+            }
+            timer.demote();
+            let mut fewer = sets;
+            fewer.effective.remove(CapabilitySet::SYS_NICE);
+            set_capabilities(None, fewer).unwrap();
+            for _ in 0..2 {
+                assert!(timer.disarm() && timer.is_demoted(), "told for each job");
+                assert_eq!(current_policy().unwrap(), Policy::Other { nice: 0 });
+            }
+            set_capabilities(None, sets).unwrap();
+            assert!(timer.disarm() && !timer.is_demoted());
+            assert_eq!(current_policy().unwrap(), own.policy());
         });
     }
 
