@@ -7,7 +7,7 @@
 //! ```text
 //!  a thread arms   alarm.due = now + budget; if the enforcer sleeps longer than until then: wake it
 //!  the enforcer    wakes_at = the earliest due of all alarms; looks again, since one may have been armed meanwhile; sleeps until then
-//!  an alarm is due has its thread used the budget? no: due = now + what is left, or 50 µs; yes: the signal
+//!  an alarm is due has its thread used the budget? no: due = now + what is left, or 50 µs; yes: the signal, until it can be sent
 //!  it disarms      alarm.due = never; the enforcer is not told, and finds nothing when it wakes
 //! ```
 //!
@@ -108,15 +108,26 @@ impl Alarm {
         let next_ns = if left_ns == 0 { NEVER } else { now_ns.saturating_add(left_ns.max(LEAST_LOOK_NS)) };
         // Only if the alarm is still that of the same job.
         match self.due_ns.compare_exchange(due_ns, next_ns, Ordering::SeqCst, Ordering::SeqCst) {
-            Ok(_) if left_ns == 0 => {
-                // SAFETY: no memory is passed. A thread that has ended, or another one with its number, has no budget.
-                unsafe { libc::syscall(libc::SYS_tgkill, libc::getpid(), tid, signal) };
-                NEVER
+            Ok(_) if left_ns == 0 && !send(signal, tid) => {
+                let again_ns = now_ns.saturating_add(LEAST_LOOK_NS);
+                // Unless its thread has set it for another job. One that has cleared it gets a signal, and finds no budget.
+                match self.due_ns.compare_exchange(NEVER, again_ns, Ordering::SeqCst, Ordering::SeqCst) {
+                    Ok(_) => again_ns,
+                    Err(present_ns) => present_ns,
+                }
             }
             Ok(_) => next_ns,
             Err(present_ns) => present_ns,
         }
     }
+}
+
+/// Sends the signal to a thread of this process. False: too many signals of this user are pending (`RLIMIT_SIGPENDING`), so it has to be
+/// sent again.
+fn send(signal: libc::c_int, tid: u32) -> bool {
+    // SAFETY: no memory is passed. A thread that has ended, or another one with its number, has no budget.
+    let sent = unsafe { libc::syscall(libc::SYS_tgkill, libc::getpid(), tid, signal) };
+    sent == 0 || std::io::Error::last_os_error().raw_os_error() != Some(libc::EAGAIN)
 }
 
 /// Starts the enforcer, which never ends. Returns the id of its thread.
@@ -149,6 +160,7 @@ fn run(signal: libc::c_int) {
 mod tests {
     use super::*;
     use crate::clock::thread_cpu_ns;
+    use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
     /// While a thread waits with little of its budget left, this stays so little.
     #[test]
@@ -164,5 +176,29 @@ mod tests {
         alarm.give_back();
         let Some((begun_ns, next_ns)) = found else { return println!("skipped: this machine is too slow") };
         assert!(next_ns >= begun_ns + LEAST_LOOK_NS, "{}", next_ns - begun_ns);
+    }
+
+    /// The signals of all processes of a user count. Runs itself again, because the limit is the process's.
+    #[test]
+    fn a_signal_that_cannot_be_sent_is_sent_again() {
+        const CHILD: &str = "TAUTLINE_NO_SIGNALS";
+        if std::env::var_os(CHILD).is_none() {
+            let mut child = std::process::Command::new(std::env::current_exe().unwrap());
+            let name = "enforcer::tests::a_signal_that_cannot_be_sent_is_sent_again";
+            assert!(child.args(["--exact", name]).env(CHILD, "1").status().unwrap().success());
+            return;
+        }
+        let (signal, alarm) = (crate::budget::signal().unwrap(), Alarm::take());
+        let limit = getrlimit(Resource::Sigpending);
+        setrlimit(Resource::Sigpending, Rlimit { current: Some(0), ..limit }).unwrap();
+        alarm.set(0, 0);
+        let next_ns = alarm.check(signal);
+        assert_ne!(next_ns, NEVER);
+        setrlimit(Resource::Sigpending, limit).unwrap();
+        while monotonic_ns() < next_ns {
+            std::hint::spin_loop();
+        }
+        assert_eq!(alarm.check(signal), NEVER);
+        alarm.give_back();
     }
 }
