@@ -6,8 +6,8 @@ use crate::Patience;
 use crate::fork::{ProcessFd, ProcessMark};
 use crate::shm::DIRECTORY;
 use rustix::fs::{FlockOperation, Mode, OFlags};
-use rustix::io::Errno;
-use std::io::{self, Read, Write};
+use std::io::{self, Read};
+use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -55,30 +55,34 @@ impl LockFile {
     pub fn lock(name: &str) -> Result<Self, LockFileError> {
         let path = Path::new(DIRECTORY).join(name);
         let refuse = |source: io::Error| LockFileError::File { path: path.clone(), source };
+        // A child that is forked between these would keep the lock.
+        let open_locked = || -> io::Result<OwnedFd> {
+            let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
+            let file = rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR)?;
+            rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive)?;
+            Ok(file)
+        };
         let mut patience = Patience::new(PATIENCE);
         loop {
-            let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
-            let file =
-                rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR).map_err(|e| refuse(e.into()))?;
-            let mut file = std::fs::File::from(file);
-            match rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
-                Ok(()) => {}
-                Err(Errno::WOULDBLOCK) if !patience.is_over() => {
+            let lock = match ProcessFd::make(open_locked) {
+                Ok(lock) => lock,
+                Err(error) if error.kind() != io::ErrorKind::WouldBlock => return Err(refuse(error)),
+                Err(_) if !patience.is_over() => {
                     std::thread::sleep(Duration::from_millis(1));
                     continue;
                 }
-                Err(Errno::WOULDBLOCK) => {
-                    let pid = read_pid(&mut file);
+                Err(_) => {
+                    let pid = read_pid(&path);
                     return Err(LockFileError::Locked { path, pid });
                 }
-                Err(errno) => return Err(refuse(errno.into())),
-            }
+            };
             // Removed between opening and locking: the file belongs to no process any more.
-            if rustix::fs::fstat(&file).map_err(|e| refuse(e.into()))?.st_nlink == 0 {
+            if rustix::fs::fstat(&lock).map_err(|e| refuse(e.into()))?.st_nlink == 0 {
                 continue;
             }
-            file.set_len(0).and_then(|()| write!(file, "{}", std::process::id())).map_err(refuse)?;
-            let lock = ProcessFd::make(|| io::Result::Ok(file.into())).map_err(refuse)?;
+            let written = rustix::fs::ftruncate(&lock, 0)
+                .and_then(|()| rustix::io::pwrite(&lock, std::process::id().to_string().as_bytes(), 0));
+            written.map_err(|e| refuse(e.into()))?;
             return Ok(LockFile { path, _lock: lock, owner: ProcessMark::new() });
         }
     }
@@ -93,9 +97,9 @@ impl Drop for LockFile {
     }
 }
 
-fn read_pid(file: &mut std::fs::File) -> Option<u32> {
+fn read_pid(path: &Path) -> Option<u32> {
     let mut text = String::new();
-    file.take(16).read_to_string(&mut text).ok()?;
+    std::fs::File::open(path).ok()?.take(16).read_to_string(&mut text).ok()?;
     text.trim().parse().ok()
 }
 

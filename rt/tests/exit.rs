@@ -4,7 +4,7 @@
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 use std::sync::{Barrier, Mutex, mpsc};
 use tautline_rt::fork::{ProcessMutex, without_forks};
-use tautline_rt::{at_exit, exempt_children};
+use tautline_rt::{LockFile, at_exit, exempt_children};
 
 /// The process whose exit handler this is.
 static PARENT: AtomicI32 = AtomicI32::new(0);
@@ -97,4 +97,27 @@ fn a_fork_waits_for_what_takes_locks_of_other_libraries() {
     ENDS.store(true, Ordering::Relaxed);
     logs.join().unwrap();
     assert_eq!(free, 200);
+}
+
+#[test]
+fn a_child_keeps_no_lock_file_whenever_it_is_forked() {
+    static IS_OVER: AtomicBool = AtomicBool::new(false);
+    let name = format!("taut_lock_forks_{}", std::process::id());
+    let of_thread = name.clone();
+    let locks = std::thread::spawn(move || {
+        while !IS_OVER.load(Ordering::Relaxed) {
+            drop(LockFile::lock(&of_thread).unwrap());
+        }
+    });
+    let has_none = || {
+        let mut files = std::fs::read_dir("/proc/self/fd").unwrap().flatten();
+        let is_lock = |path: std::io::Result<std::path::PathBuf>| {
+            path.is_ok_and(|path| path.to_string_lossy().contains(&name))
+        };
+        files.all(|file| !is_lock(std::fs::read_link(file.path())))
+    };
+    let kept = (0..200).filter(|_| !holds_in_a_child(has_none)).count();
+    IS_OVER.store(true, Ordering::Relaxed);
+    locks.join().unwrap();
+    assert_eq!(kept, 0, "of 200 children");
 }
