@@ -426,7 +426,9 @@ fn check_overruns(options: &CallbackOptions, members: &[MemberInfo]) -> Result<(
         _ if options.policy.realtime_priority().is_none() => {
             "it has no real-time priority to lose: use `CallbackOptions::fifo`"
         }
-        _ if options.budget.is_none() && members.is_empty() => "it has none: state it with `.budget(..)`",
+        _ if options.budget.is_none() && members.iter().all(|member| member.stats.budget().is_none()) => {
+            "it has none: state it with `.budget(..)`"
+        }
         _ => return Ok(()),
     };
     Err(ExecutorError::CannotHold { name: options.name.clone(), problem })

@@ -232,7 +232,9 @@ impl Measured {
             stopwatch.begin();
             if let (Some(enforcer), Some(since_ns)) = (&self.enforcer, stopwatch.since_ns.get()) {
                 let now_ns = if self.spins { thread_cpu_ns() } else { since_ns };
-                enforcer.begin(release_ns, since_ns, now_ns, of.budget());
+                // A group's budget is for the job of each member.
+                let budget = of.budget().into_iter().chain(self.stats.budget()).min();
+                enforcer.begin(release_ns, since_ns, now_ns, budget);
             }
         }
         StartedJob { release_ns }

@@ -179,7 +179,8 @@ impl CallbackOptions {
     /// of the budget, so that one which waits for milliseconds with less than 0.1 ms left may be demoted. Each job costs two more system
     /// calls: state them in the analysis (`demotion` in the system file's overheads). Where timers do not reach a busy thread (PREEMPT_RT), a
     /// thread of higher priority does it, the [enforcer](tautline_rt::prove_enforcement), at the cost of at most one system call and two runs
-    /// of that thread for each job. A group's thread enforces each member's own budget, and demotes the members together.
+    /// of that thread for each job. In a group each job has its member's budget, and at most the group's; the members are demoted
+    /// together.
     ///
     /// It requires a real-time policy and measured execution times, and does not apply to a busy-polling
     /// thread. With [`Realtime::Off`](crate::Realtime::Off) budgets are not enforced.

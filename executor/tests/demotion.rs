@@ -248,6 +248,33 @@ fn a_group_holds_each_member_to_its_own_budget() {
 }
 
 #[test]
+fn a_groups_budget_is_for_each_job_of_its_members() {
+    if !realtime() {
+        return;
+    }
+    let (log, mut group) = (Log::default(), CallbackGroup::new());
+    for (name, work) in [("modest", budget() / 4), ("greedy", budget() * 2)] {
+        let log = log.clone();
+        // Released in the future: nothing waits for anything.
+        let items = futures::stream::iter([u64::MAX - 10]);
+        group.add(
+            name,
+            items,
+            |release| *release,
+            move |_| {
+                clock::burn_cpu(work);
+                log.add(format!("{name} {}", level()));
+                async {}
+            },
+        );
+    }
+    let executor = Executor::new(Realtime::Required);
+    let options = CallbackOptions::fifo(20).name("group").budget(budget()).demote_on_overrun();
+    executor.spawn_group(options, group).unwrap().join().unwrap();
+    assert_eq!(log.events(), ["modest own", "greedy below"]);
+}
+
+#[test]
 fn what_cannot_be_demoted_says_why() {
     let executor = Executor::new(Realtime::Off);
     let refused = |options: CallbackOptions| {
@@ -260,6 +287,10 @@ fn what_cannot_be_demoted_says_why() {
     assert!(refused(CallbackOptions::other().budget(budget())).contains("no real-time priority"));
     assert!(refused(fifo.clone().execution_time(false)).contains("not measured"));
     assert!(refused(fifo.clone().core(0).busy_poll()).contains("polls busily"));
+    let mut group = CallbackGroup::new();
+    group.add("member", futures::stream::empty::<u64>(), |release| *release, |_| async {});
+    let error = executor.spawn_group(CallbackOptions::fifo(20).demote_on_overrun(), group).unwrap_err();
+    assert!(error.to_string().contains("state it with `.budget(..)`"), "{error}");
     // Without real time there is nothing to hold, and nothing is refused.
     executor.spawn_callback(fifo.demote_on_overrun(), async {}).unwrap().join().unwrap();
 }
