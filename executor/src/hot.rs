@@ -159,8 +159,7 @@ impl BudgetEnforcer {
                 demoted
             }
             Enforcement::Suspend { behind, .. } => {
-                let suspended = self.timer.was_suspended();
-                let left = self.timer.disarm_refilled();
+                let (suspended, left) = self.timer.disarm_refilled();
                 behind.set((suspended || behind.get().is_some()).then_some(left));
                 suspended
             }

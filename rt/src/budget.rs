@@ -120,8 +120,7 @@ impl OwnPriority {
     /// How often a change is repeated, because the thread has changed its policy itself meanwhile.
     const TRIES: u32 = 1_000;
 
-    /// The priority of a thread with this policy. A thread without a priority gets `SCHED_FIFO` if it is
-    /// changed.
+    /// The priority of a thread with this policy. A thread without a priority gets `SCHED_FIFO` if it is changed.
     pub fn new(policy: Policy) -> OwnPriority {
         OwnPriority {
             is_round_robin: matches!(policy, Policy::RoundRobin(_)),
@@ -359,19 +358,20 @@ impl BudgetTimer {
         STATE.with(|state| state.suspended.load(Ordering::Relaxed))
     }
 
-    /// Like [`disarm`](Self::disarm), for a thread that is suspended and not demoted: returns the rest of its budget
-    /// until the next refill.
+    /// Like [`disarm`](Self::disarm), for a thread that is suspended and not demoted: returns whether it was, up to the last moment, and the
+    /// rest of its budget until the next refill.
     ///
     /// # Real-time
     /// No allocation; no wait; at most two syscalls.
-    pub fn disarm_refilled(&self) -> RemainingBudget {
+    pub fn disarm_refilled(&self) -> (bool, RemainingBudget) {
         STATE.with(|state| {
             let end_ns = state.end_ns.swap(0, Ordering::Relaxed);
             compiler_fence(Ordering::SeqCst);
             set(state, 0);
-            state.suspended.store(false, Ordering::Relaxed);
+            let suspended = state.suspended.swap(false, Ordering::Relaxed);
             let budget_ns = end_ns.saturating_sub(thread_cpu_ns());
-            RemainingBudget { budget_ns, refill_at_ns: state.refill_at_ns.load(Ordering::Relaxed) }
+            let refill_at_ns = state.refill_at_ns.load(Ordering::Relaxed);
+            (suspended, RemainingBudget { budget_ns, refill_at_ns })
         })
     }
 
@@ -704,12 +704,12 @@ mod tests {
             let taken_ns = monotonic_ns() - begin_ns;
             assert!(taken_ns >= ns(60), "{taken_ns}");
             assert!(timer.was_suspended());
-            let RemainingBudget { budget_ns, refill_at_ns } = timer.disarm_refilled();
+            let (suspended, RemainingBudget { budget_ns, refill_at_ns }) = timer.disarm_refilled();
             // A thread that got the processor late may have missed the time of one.
             assert!((refill_at_ns - begin_ns).is_multiple_of(ns(20)) && refill_at_ns >= begin_ns + ns(80));
-            assert!(budget_ns < ns(2) && !timer.was_suspended());
+            assert!(suspended && budget_ns < ns(2) && !timer.was_suspended());
             burn_cpu(ms(3));
-            assert!(!timer.was_suspended(), "nothing is held to");
+            assert!(!timer.disarm_refilled().0, "nothing is held to");
         });
     }
 
