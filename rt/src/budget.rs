@@ -23,6 +23,7 @@ use std::time::Duration;
 use std::{mem, ptr};
 
 use crate::clock::{nanoseconds, thread_cpu_ns};
+use crate::enforcement::prove_kept;
 use crate::enforcer;
 use crate::fork::ProcessMark;
 use crate::policy::schedule;
@@ -173,10 +174,7 @@ impl OwnPriority {
     pub fn change(&self, tid: u32, priority: u8) -> Result<(), RtError> {
         self.with(priority).check()?;
         if let Some(by) = self.enforced.get() {
-            let below = priority.saturating_add(1);
-            if prove_enforcement(below)? != *by {
-                return Err(RtError::BudgetNotEnforced { by: *by, below });
-            }
+            prove_kept(*by, priority.saturating_add(1))?;
         }
         let former = self.priority.swap(priority, Ordering::SeqCst);
         let changed = self.settle(tid);
@@ -660,6 +658,8 @@ mod tests {
     fn a_priority_that_others_change_is_what_a_demoted_thread_gets_back() {
         on_threads(|timer, own| {
             let tid = current_tid();
+            // As if a thread above needed it: this one keeps to what it has.
+            prove_enforcement_by(Enforcement::Enforcer, PRIORITY + 10).unwrap();
             own.change(tid, 12).unwrap();
             assert_eq!(current_policy().unwrap(), Policy::Fifo(12));
             timer.demote();

@@ -23,21 +23,17 @@ crate::names!(Enforcement: Display {
 });
 
 /// What was proven in this process.
-#[derive(Debug, Clone, Copy)]
-struct Proven {
-    by: Enforcement,
-    /// The priority below which budgets are enforced.
-    below: u8,
-}
-
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct State {
-    proven: Option<Proven>,
+    /// What enforces the budgets of timers that are made from now on.
+    chosen: Option<Enforcement>,
+    /// The priority below which each kind was proven: 0 for none.
+    proven_below: [u8; 2],
     /// The enforcer's thread and priority.
     enforcer: Option<(u32, u8)>,
 }
 
-static STATE: ProcessMutex<State> = ProcessMutex::new(State { proven: None, enforcer: None }, State::default);
+static STATE: ProcessMutex<State> = ProcessMutex::new(State::new(), State::new);
 
 /// The budget of the proof, and the processor time in which a timer must have ended it. A timer that is later is not used.
 const BUDGET: Duration = Duration::from_micros(100);
@@ -57,14 +53,11 @@ const ENFORCER_PATIENCE: Duration = Duration::from_millis(200);
 /// [`RtError::BudgetNotEnforced`] with the fix; the errors of [`set_policy`](crate::set_policy).
 pub fn prove_enforcement(below: u8) -> Result<Enforcement, RtError> {
     let mut state = STATE.lock();
-    if let Some(proven) = state.proven
-        && proven.below >= below
-    {
-        return Ok(proven.by);
+    if let Some(by) = state.chosen.filter(|by| state.is_proven(*by, below)) {
+        return Ok(by);
     }
     // Threads that use the enforcer already keep to it.
-    let is_chosen = state.proven.is_some_and(|proven| proven.by == Enforcement::Enforcer);
-    if !is_chosen && state.prove(Enforcement::Timer, below)? {
+    if state.chosen != Some(Enforcement::Enforcer) && state.prove(Enforcement::Timer, below)? {
         return Ok(Enforcement::Timer);
     }
     state.prove(Enforcement::Enforcer, below)?;
@@ -82,7 +75,27 @@ pub fn prove_enforcement_by(by: Enforcement, below: u8) -> Result<(), RtError> {
     if STATE.lock().prove(by, below)? { Ok(()) } else { Err(RtError::BudgetNotEnforced { by, below }) }
 }
 
+/// Proves that a thread whose budgets are enforced by this kind may get a priority just below this one. The choice for others stays.
+pub(crate) fn prove_kept(by: Enforcement, below: u8) -> Result<(), RtError> {
+    let mut state = STATE.lock();
+    let chosen = state.chosen;
+    let is_proven = state.is_proven(by, below) || {
+        let proof = state.prove(by, below);
+        state.chosen = chosen;
+        proof?
+    };
+    if is_proven { Ok(()) } else { Err(RtError::BudgetNotEnforced { by, below }) }
+}
+
 impl State {
+    const fn new() -> State {
+        State { chosen: None, proven_below: [0; 2], enforcer: None }
+    }
+
+    const fn is_proven(&self, by: Enforcement, below: u8) -> bool {
+        self.proven_below[by as usize] >= below
+    }
+
     /// Proves one kind of enforcement, and records it. False: a timer did not fire in time.
     fn prove(&mut self, by: Enforcement, below: u8) -> Result<bool, RtError> {
         if by == Enforcement::Enforcer {
@@ -94,7 +107,10 @@ impl State {
             Enforcement::Enforcer => fires(by, priority, ENFORCER_PATIENCE)?,
         };
         match (has_fired, by) {
-            (true, _) => self.proven = Some(Proven { by, below }),
+            (true, _) => {
+                self.chosen = Some(by);
+                self.proven_below[by as usize] = below.max(self.proven_below[by as usize]);
+            }
             (false, Enforcement::Timer) => {}
             (false, Enforcement::Enforcer) => return Err(RtError::BudgetNotEnforced { by, below }),
         }
