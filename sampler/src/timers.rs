@@ -110,8 +110,7 @@ impl Timers {
         while spare_sender.emptied.pop().is_ok() {}
         let Some(words) = self.windows.get(window).filter(|words| words.get().is_none()) else { return };
         // The queue comes before the words, so that an armed timer finds room in it.
-        let slots = first_slot(window) + window_slots(window);
-        let _ = spare_sender.larger.push(BinaryHeap::with_capacity(slots));
+        let _ = spare_sender.larger.push(queue_for(first_slot(window) + window_slots(window)));
         let _ = words.set((0..window_slots(window)).map(|_| TimerWords::default()).collect());
     }
 
@@ -127,6 +126,13 @@ impl Timers {
     pub(crate) fn at(&self, slot: usize) -> &TimerWords {
         self.get(slot).expect("who has a timer's slot has covered it")
     }
+}
+
+/// An empty queue with room for this many timers. The room has been touched: the sampler's first use of a page would be a page fault.
+fn queue_for(timers: usize) -> Due {
+    let mut room = vec![Reverse((u64::MAX, usize::MAX)); timers];
+    room.clear();
+    room.into()
 }
 
 impl SpareQueues {
@@ -167,6 +173,7 @@ impl TimerQueue {
 mod tests {
     use super::*;
     use tautline_doorbell::NEAR_SLOTS;
+    use tautline_rt::page_faults;
 
     #[test]
     fn what_is_due_moves_into_more_room() {
@@ -181,5 +188,20 @@ mod tests {
         spares.move_to_larger(&mut due);
         assert!(due.capacity() >= far + window_slots(2));
         assert_eq!(due.into_sorted_vec(), all);
+    }
+
+    #[test]
+    fn the_room_has_been_touched() {
+        let (timers, mut spares) = Timers::new();
+        // Half a megabyte, which no allocator has left from before.
+        timers.cover(first_slot(5));
+        let mut due = Due::new();
+        spares.move_to_larger(&mut due);
+        // The code has to be in memory, too.
+        due.push(Reverse((0, 0)));
+        let before = page_faults().minor;
+        (1..due.capacity()).for_each(|n| due.push(Reverse((n as u64, n))));
+        let faults = page_faults().minor - before;
+        assert!(faults < 10, "{faults} for {} timers", due.len());
     }
 }
