@@ -78,7 +78,9 @@ fn a_reservation_gets_another_size() {
     let options = CallbackOptions::reserved(ms(1), ms(20)).name("r");
     let callback = executor.spawn_callback(options, pending()).unwrap();
     executor.settings().change(&CallbackOptions::reserved(ms(2), ms(20)).name("r")).unwrap();
-    assert_eq!(policy(&callback), Policy::Deadline { runtime_ns: 2_000_000, period_ns: 20_000_000 });
+    let wanted = Policy::Deadline { runtime_ns: 2_000_000, period_ns: 20_000_000 };
+    let seen = tautline_executor::CallbackSnapshot::of(callback.stats()).unwrap();
+    assert_eq!((policy(&callback), seen.reservation), (wanted, Some(wanted)));
     let error = executor.settings().change(&CallbackOptions::fifo(20).name("r")).unwrap_err();
     assert!(error.to_string().contains("restart its program"), "{error}");
 }

@@ -145,7 +145,7 @@ impl Running {
     ) {
         let Some(priority) = callback.priority else { return };
         let process = &snapshot.process;
-        let reservation = tautline_rt::policy_of(callback.tid).ok().and_then(reservation_of);
+        let reservation = callback.reservation.and_then(reservation_of);
         if self.file_of(process).is_some_and(|used| {
             used.file.callbacks().iter().any(|entry| {
                 let core = &used.file.cores()[entry.core];
@@ -365,6 +365,23 @@ fn late(broken: &[Broken]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tautline_executor::{ForeignCallback, ForeignStatistics, StatisticsFile};
+
+    /// A container need not have the process ids of others.
+    #[test]
+    fn a_reservation_counts_although_its_thread_cannot_be_looked_at() {
+        let prefix = format!("taut_system_test_{}_", std::process::id());
+        let file = StatisticsFile::create(&prefix, &ProcessInfo::of_this()).unwrap();
+        let [runtime, period] = [2, 20].map(Duration::from_millis);
+        // Its thread has no id yet.
+        let options = CallbackOptions::reserved(runtime, period).name("scan");
+        let _callback = ForeignCallback::new(&file, &options).unwrap();
+        let snapshot = ForeignStatistics::list(&prefix).unwrap()[0].read().unwrap().unwrap();
+        let mut running = Running::default();
+        running.add_callback(&snapshot, &snapshot.callbacks[0], &mut Vec::new());
+        let reservation = Reservation { runtime_ns: 2_000_000, period_ns: 20_000_000 };
+        assert_eq!(running.threads[0].reservation, Some(reservation));
+    }
 
     #[test]
     fn a_domain_that_cannot_be_read_is_named_with_what_helps() {

@@ -76,7 +76,7 @@ pub struct Callback {
     pub ended: bool,
     pub tid: u32,
     pub priority: Option<u8>,
-    /// The kernel's reservation, if the callback runs under SCHED_DEADLINE and its thread was alive.
+    /// Its reservation, if the callback runs under SCHED_DEADLINE and its thread was alive.
     #[serde(skip)]
     pub reservation: Option<Policy>,
     pub core: Option<usize>,
@@ -268,9 +268,7 @@ impl Callback {
             ended,
             tid: of.tid,
             priority: of.priority,
-            reservation: (of.priority == Some(Policy::RESERVATION) && !ended)
-                .then(|| tautline_rt::policy_of(of.tid).ok())
-                .flatten(),
+            reservation: of.reservation.filter(|_| !ended),
             core: of.core,
             measures_execution: of.measures_execution,
             period_ns: of.period_ns,

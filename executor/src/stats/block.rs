@@ -4,7 +4,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use tautline_rt::{ThreadInfo, Words};
+use tautline_rt::{Policy, ThreadInfo, Words};
 
 use super::file::StatsSlot;
 use super::histogram::{HISTOGRAM_WORDS, Histogram, HistogramSnapshot};
@@ -34,6 +34,9 @@ pub(crate) mod word {
     pub const BUDGET: usize = 8;
     pub const BOUND: usize = 9;
     pub const ACCOUNTS: usize = 10;
+    /// The processor time of a reservation in each of its periods; 0: none.
+    pub const RESERVED: usize = 11;
+    pub const RESERVED_PERIOD: usize = 12;
     // Written by the callback's thread from here on.
     pub const RELEASES: usize = 16;
     pub const COMPLETIONS: usize = 17;
@@ -126,8 +129,18 @@ impl Block {
         put_text(&self.words[word::NAME..word::NAME + NAME_WORDS], name);
     }
 
+    pub fn set_policy(&self, policy: Policy) {
+        self.set(word::PRIORITY, policy.realtime_priority().map_or(0, u64::from));
+        let (runtime_ns, period_ns) = match policy {
+            Policy::Deadline { runtime_ns, period_ns } => (runtime_ns, period_ns),
+            _ => (0, 0),
+        };
+        self.set(word::RESERVED, runtime_ns);
+        self.set(word::RESERVED_PERIOD, period_ns);
+    }
+
     pub fn set_thread(&self, thread: &ThreadInfo) {
-        self.set(word::PRIORITY, thread.policy.realtime_priority().map_or(0, u64::from));
+        self.set_policy(thread.policy);
         let mut cores = thread.cores.iter();
         let core = cores.next().filter(|_| cores.next().is_none());
         self.set(word::CORE, core.map_or(0, |core| core as u64 + 1));
@@ -164,6 +177,8 @@ pub struct CallbackSnapshot {
     pub tid: u32,
     /// The real-time priority that the kernel confirmed; `None` for time-sharing.
     pub priority: Option<u8>,
+    /// The reservation that the kernel confirmed, if it is one. The thread itself may be in a namespace where its id is another's.
+    pub reservation: Option<Policy>,
     /// The one core it may run on; `None` if there are several.
     pub core: Option<usize>,
     /// Whether execution times are measured.
@@ -231,6 +246,8 @@ impl CallbackSnapshot {
             ended: word(word::STATE) == state::ENDED,
             tid: u32::try_from(word(word::TID)).unwrap_or(0),
             priority: u8::try_from(word(word::PRIORITY)).ok().filter(|priority| *priority != 0),
+            reservation: some(word(word::RESERVED))
+                .map(|runtime_ns| Policy::Deadline { runtime_ns, period_ns: word(word::RESERVED_PERIOD) }),
             core: some(word(word::CORE)).and_then(|core| usize::try_from(core - 1).ok()),
             measures_execution: word(word::MEASURES_EXECUTION) != 0,
             period_ns: some(word(word::PERIOD)),

@@ -13,7 +13,7 @@ use super::block::{BLOCK_WORDS, Block, CallbackSnapshot, get_text, kind, put_tex
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautstat");
 /// The version of the layout here and in `block.rs`.
-const VERSION: u64 = 9;
+const VERSION: u64 = 10;
 const HEADER_WORDS: usize = 864;
 
 /// Indices of the header's words.

@@ -105,10 +105,10 @@ impl CallbackStats {
         }
     }
 
-    /// Records the changed priority of the thread.
+    /// Records the changed priority or reservation of the thread.
     pub(crate) fn describe_priority(&self, policy: Policy) {
         if let Some(block) = self.block.get() {
-            block.set(word::PRIORITY, policy.realtime_priority().map_or(0, u64::from));
+            block.set_policy(policy);
         }
     }
 
