@@ -72,9 +72,9 @@ pub enum ExecutorError {
         /// The cores it may run on.
         cores: String,
     },
-    /// Real-time busy polling on a machine with one core.
+    /// Real-time busy polling where the machine, or the process's cpuset, has one core.
     #[error(
-        "callback `{name}` cannot busy-poll at real-time priority {priority} on the only core of this machine: \
+        "callback `{name}` cannot busy-poll at real-time priority {priority} on the only core that this process may use: \
          drop busy_poll, or use CallbackOptions::other"
     )]
     BusyPollOnlyCore {

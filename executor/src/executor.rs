@@ -13,7 +13,7 @@ use futures::future::LocalFutureObj;
 use futures::task::LocalSpawn;
 use tautline_rt::{
     BudgetTimer, CoreSet, CoreTime, OwnPriority, Policy, Realtime, RtError, ThreadBuilder, clock,
-    current_affinity, current_policy, host::online_cores, prove_enforcement,
+    current_affinity, current_policy, prove_enforcement,
 };
 
 use crate::account::{CoreTimeAccount, SamplerStatistics};
@@ -245,8 +245,8 @@ impl Executor {
             let priority = options.policy.realtime_priority().unwrap_or(0);
             prove_enforcement(self.enforcer_priority.max(priority.saturating_add(1))).map_err(refused)?;
         }
-        let (thread, online) = self.thread(&options).map_err(refused)?;
-        let registration = self.registry.claim(thread, online)?;
+        let (thread, usable) = self.thread(&options).map_err(refused)?;
+        let registration = self.registry.claim(thread, usable)?;
 
         let stats = Arc::new(CallbackStats::new(options.name.as_str()));
         stats.set_limits(&options);
@@ -362,7 +362,8 @@ impl Executor {
         }
     }
 
-    /// Returns the thread's registry entry, as far as it is known before the thread runs, and the number of online cores.
+    /// Returns the thread's registry entry, as far as it is known before the thread runs, and, for a busy-polling one, the number of cores
+    /// that the process may use.
     fn thread(&self, options: &CallbackOptions) -> Result<(RegisteredThread, usize), RtError> {
         let policy = match self.realtime {
             Realtime::Required => options.policy,
@@ -377,7 +378,8 @@ impl Executor {
             None => current_affinity()?,
         };
         let (priority, busy) = (policy.realtime_priority(), options.busy_poll);
-        Ok((RegisteredThread { name: options.name.clone(), priority, cores, busy }, online_cores()?.len()))
+        let usable = if busy { CoreSet::allowed()?.len() } else { CoreSet::MAX };
+        Ok((RegisteredThread { name: options.name.clone(), priority, cores, busy }, usable))
     }
 
     /// Adds a callback to the list and removes those that ended without a panic, so that the list does not grow for ever.

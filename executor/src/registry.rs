@@ -33,11 +33,11 @@ pub struct ThreadRegistration {
 }
 
 impl Registry {
-    /// Registers a thread of a machine with `online` cores, unless it or another thread would then starve.
+    /// Registers a thread of a process that may use this number of cores, unless it or another thread would then starve.
     pub fn claim(
         &self,
         thread: RegisteredThread,
-        online: usize,
+        usable: usize,
     ) -> Result<ThreadRegistration, ExecutorError> {
         if thread.busy {
             if thread.cores.len() != 1 {
@@ -46,7 +46,7 @@ impl Registry {
                     cores: thread.cores.to_string(),
                 });
             }
-            if let (Some(priority), 0..=1) = (thread.priority, online) {
+            if let (Some(priority), 0..=1) = (thread.priority, usable) {
                 return Err(ExecutorError::BusyPollOnlyCore { name: thread.name, priority });
             }
         }

@@ -3,7 +3,9 @@
 
 mod common;
 
+use std::fs;
 use std::future::{pending, poll_fn};
+use std::path::{Path, PathBuf};
 use std::task::Poll;
 
 use common::{cores, realtime};
@@ -57,6 +59,45 @@ fn without_one_core_of_its_own_it_is_refused() {
         ExecutorError::BusyPollOnlyCore { .. } => assert_eq!(cores.len(), 1),
         other => panic!("{other}"),
     }
+}
+
+/// A cpuset of one core, with either version of cgroups; `None` if there is none to be had.
+fn cpuset(core: usize) -> Option<PathBuf> {
+    ["/sys/fs/cgroup/cpuset", "/sys/fs/cgroup"].into_iter().find_map(|root| {
+        let folder = Path::new(root).join(format!("taut_test_{}", std::process::id()));
+        fs::create_dir(&folder).ok()?;
+        let set = |(file, value): (&str, usize)| {
+            use std::io::Write;
+            fs::OpenOptions::new()
+                .write(true)
+                .open(folder.join(file))?
+                .write_all(value.to_string().as_bytes())
+        };
+        let made = [("cpuset.cpus", core), ("cpuset.mems", 0)].into_iter().try_for_each(set);
+        if made.is_err() {
+            let _ = fs::remove_dir(&folder);
+        }
+        made.ok().map(|()| folder)
+    })
+}
+
+/// The janitor and the thread that spawns it would never run again. Runs itself again, in a cpuset.
+#[test]
+fn the_only_core_of_a_cpuset_is_not_its_own() {
+    const FOLDER: &str = "TAUTLINE_CPUSET";
+    if let Some(folder) = std::env::var_os(FOLDER) {
+        fs::write(Path::new(&folder).join("cgroup.procs"), std::process::id().to_string()).unwrap();
+        let options = CallbackOptions::fifo(1).core(cores()[0]).busy_poll();
+        let error = Executor::new(Realtime::Required).spawn_callback(options, pending()).unwrap_err();
+        assert!(matches!(error, ExecutorError::BusyPollOnlyCore { priority: 1, .. }), "{error}");
+        return;
+    }
+    let Some(folder) = cpuset(cores()[0]) else { return println!("skipped: no cpuset can be made") };
+    let mut child = std::process::Command::new(std::env::current_exe().unwrap());
+    let child = child.args(["--exact", "the_only_core_of_a_cpuset_is_not_its_own"]).env(FOLDER, &folder);
+    let ended = child.status();
+    let _ = fs::remove_dir(&folder);
+    assert!(ended.unwrap().success());
 }
 
 #[test]
