@@ -25,6 +25,7 @@ use crate::hot::{
 };
 use crate::registry::{RegisteredThread, Registry};
 use crate::settings::{CallbackSettings, Callbacks};
+use crate::sleep::ThreadSleep;
 use crate::stats::kind;
 use crate::{
     CallbackHandle, CallbackOptions, CallbackStats, ExecutorError, OverrunPolicy, StatisticsFile,
@@ -308,10 +309,12 @@ impl Executor {
                 announced: Cell::default(),
             });
             let mut pool = LocalPool::new();
-            let waiting = match parker {
-                _ if busy => WaitMode::Busy,
-                Some(parker) => WaitMode::On(Arc::clone(&parker), hot::waker_of(&parker), spin),
-                None => WaitMode::InPool,
+            let waiting = if busy {
+                WaitMode::Busy
+            } else {
+                let parker = parker.unwrap_or_else(|| Arc::new(ThreadSleep::new()));
+                let waker = hot::waker_of(&parker);
+                WaitMode::On(parker, waker, spin)
             };
             let future = Controlled { future, control: Arc::clone(&thread_control), waiting };
             let spawned = pool.spawner().spawn_local_obj(LocalFutureObj::new(Box::new(future)));
@@ -349,7 +352,7 @@ impl Executor {
         Ok(CallbackHandle::new(callback))
     }
 
-    /// Returns the parker on which the thread will sleep; `None` if it sleeps in the pool, or busy-polls.
+    /// Returns the parker on which publishers wake the thread, if they do.
     fn parker(&self, options: &CallbackOptions) -> Result<Option<Arc<dyn Parker>>, ExecutorError> {
         if !options.direct_wake || options.busy_poll {
             return Ok(None);

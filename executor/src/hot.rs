@@ -398,9 +398,7 @@ pub fn parks_on(known: Option<&Arc<dyn Parker>>) -> bool {
 
 /// How a callback thread waits for its future.
 pub(crate) enum WaitMode {
-    /// In the pool, which parks the thread.
-    InPool,
-    /// On its own parker, after a spin.
+    /// On a parker, after a spin.
     On(Arc<dyn Parker>, Waker, Duration),
     /// Not at all: it polls again at once.
     Busy,
@@ -434,9 +432,8 @@ impl Future for Controlled {
         if !control.started.load(Ordering::Acquire) {
             return Poll::Pending;
         }
-        // Threads that do not park in the pool loop here: a return to the pool would cost more than the poll, and it has no other task.
+        // It loops here: a return to the pool would cost more than the poll, and the pool has no other task.
         match waiting {
-            WaitMode::InPool => future.as_mut().poll(cx),
             // No waker is needed, because the future is polled again in any case.
             WaitMode::Busy => loop {
                 if future.as_mut().poll(&mut Context::from_waker(Waker::noop())).is_ready()

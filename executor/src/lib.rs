@@ -3,7 +3,7 @@
 //!
 //! - [`Executor::spawn_callback`] runs a future on its own thread: named, pinned, at its own `SCHED_FIFO` priority. So
 //!   the kernel's scheduler decides between callbacks, and response-time analysis applies to them. The thread runs a
-//!   [`futures::executor::LocalPool`], which parks when nothing is ready.
+//!   [`futures::executor::LocalPool`], and sleeps when nothing is ready.
 //! - A [`CallbackGroup`] is several callbacks on one thread that never overlap, served in order of release.
 //! - [`CallbackOptions::direct_wake`] lets publishers wake the thread, through a [`Parker`] of the transport.
 //! - [`CallbackOptions::busy_poll`] avoids the wake-up at the cost of a core: the thread polls and never
@@ -43,6 +43,7 @@ mod hot;
 mod options;
 mod registry;
 mod settings;
+mod sleep;
 mod stats;
 mod sync;
 
