@@ -167,7 +167,11 @@ impl CallbackStats {
         }
         block.response.record(job.response_ns);
         let (from_ns, to_ns) = (job.release_ns, job.release_ns.saturating_add(job.response_ns));
-        let note = |kind, length_ns| block.moments.note(&Moment { kind, from_ns, to_ns, length_ns });
+        // A job is charged what its thread has used since the job before, which may be more than since its release.
+        let note = |kind, length_ns| {
+            let from_ns = from_ns.min(to_ns.saturating_sub(length_ns));
+            block.moments.note(&Moment { kind, from_ns, to_ns, length_ns });
+        };
         if self.is_late(job.response_ns) {
             note(MomentKind::Late, job.response_ns);
         }

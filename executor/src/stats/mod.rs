@@ -309,6 +309,17 @@ mod tests {
     }
 
     #[test]
+    fn an_excess_from_before_the_release_is_kept() {
+        let stats = CallbackStats::new("a");
+        stats.set_budget(Some(Duration::from_nanos(50)));
+        stats.place(None, kind::CALLBACK).unwrap();
+        stats.complete(&Job { release_ns: 1_000, ..job(10, Some(500)) });
+        let overran = Moment { kind: MomentKind::Overran, from_ns: 560, to_ns: 1_010, length_ns: 450 };
+        let now = CallbackSnapshot::of(&stats).unwrap();
+        assert_eq!((now.moments, now.older_moments), (vec![overran], 0));
+    }
+
+    #[test]
     fn losses_add_up_and_the_fullest_queue_counts() {
         let stats = CallbackStats::new("a");
         stats.place(None, kind::CALLBACK).unwrap();

@@ -38,7 +38,7 @@ pub enum MomentKind {
     /// sampler then waited for the core.
     WokenLate,
     /// A job used more processor time than its [budget](crate::CallbackOptions::budget): the excess, at some time between its release
-    /// and its end.
+    /// and its end, or before that, since the previous job.
     Overran,
     /// The sampler served events: the processor time that it used for them.
     Served,
