@@ -335,7 +335,7 @@ fn what_is_wrong_with_a_join_is_said_with_its_line() {
     };
     let all = "all = [\"/image\", \"/cloud\"]";
     wrong(all, "all = [\"/image\"]", 22, "waits for 1 topic(s) in `all`: list 2 to 9, or use `topic`");
-    wrong(all, "all = [\"/image\", \"/image\"]", 22, "waits for topic `/image` twice");
+    wrong(all, "all = [\"/image\", \"/image\"]", 22, "`all` of callback `fuse` lists topic `/image` twice");
     wrong(all, "all = [\"/image\", \"/clout\"]", 22, "did you mean `/cloud`?");
     wrong(all, "topic = \"/image\"", 23, "`window` of callback `fuse` is without `all`");
     wrong(all, "all = [\"/image\", \"/cloud\"]\nperiod = \"1s\"", 23, "two triggers, `all` and `period`");

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which callback triggers which: topics, their publishers, and the streams of messages that reach each
 //! callback.
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use super::JoinPolicy;
 use super::declared::{Callback, Declared, Topic};
@@ -36,6 +36,7 @@ impl<'f> Graph<'f> {
         let shortest = self.shortest_periods();
         for (i, callback) in self.file.callbacks.iter().enumerate() {
             self.check_trigger(callback, problems);
+            check_lists(callback, problems);
             self.check_join(callback, problems);
             for topic in callback.topics.iter().chain(&callback.reads) {
                 self.check_topic(callback, topic.at, &topic.value, problems);
@@ -84,7 +85,7 @@ impl<'f> Graph<'f> {
         }
     }
 
-    /// Checks what a callback waits for: several topics, each once; only then it may have a window.
+    /// Checks what a callback waits for: several topics; only then it may have a window.
     fn check_join(&self, callback: &Callback, problems: &Collector) {
         let name = &callback.name;
         let Some(all) = callback.all else {
@@ -113,13 +114,6 @@ impl<'f> Graph<'f> {
                 "callback `{name}` waits for {} topic(s) in `all`: list 2 to {MOST_INPUTS}, or use `topic` for one",
                 callback.topics.len()
             ));
-        }
-        for (i, topic) in callback.topics.iter().enumerate() {
-            if callback.topics[..i].iter().any(|other| other.value == topic.value) {
-                problems
-                    .at(topic.at)
-                    .add(format!("callback `{name}` waits for topic `{}` twice: list it once", topic.value));
-            }
         }
         match (&callback.policy, &callback.window) {
             (Some(At { value: JoinPolicy::LatestTime, at }), Some(_)) => problems.at(*at).add(format!(
@@ -307,6 +301,22 @@ impl<'f> Graph<'f> {
                     Some(_) => {}
                 }
             }
+        }
+    }
+}
+
+/// Checks that a callback lists each topic once: its messages would count twice.
+fn check_lists(callback: &Callback, problems: &Collector) {
+    let trigger = if callback.all.is_some() { "all" } else { "topic" };
+    for (key, topics) in
+        [(trigger, &callback.topics), ("publishes", &callback.publishes), ("reads", &callback.reads)]
+    {
+        let mut seen = HashSet::new();
+        for topic in topics.iter().filter(|topic| !seen.insert(topic.value.as_str())) {
+            let (name, topic, at) = (&callback.name, &topic.value, topic.at);
+            problems
+                .at(at)
+                .add(format!("`{key}` of callback `{name}` lists topic `{topic}` twice: list it once"));
         }
     }
 }
