@@ -48,3 +48,12 @@ fn a_topic_that_is_listed_twice_does_not_count_twice() {
     let reads = with("period = \"10ms\"", "period = \"10ms\"\nreads = [\"/scan\", \"/scan\"]");
     refuses(&reads, 6, "`reads` of callback `scan` lists topic `/scan` twice: list it once");
 }
+
+#[test]
+fn a_chain_of_no_callbacks_meets_no_deadline() {
+    refuses(
+        &with("[\"scan\", \"plan\"]", "[]"),
+        13,
+        "`path` of chain `all` is empty: list the callbacks it passes",
+    );
+}

@@ -336,6 +336,10 @@ fn chain(mut section: Section<'_>) -> Chain {
             section.problem(section.at).add(format!("chain `{name}` lacks `{key}`: add {what}"));
         }
     }
+    if section.raw("path").and_then(DeValue::as_array).is_some_and(|path| path.is_empty()) {
+        let at = section.at("path").unwrap_or(section.at);
+        section.problem(at).add(format!("`path` of chain `{name}` is empty: list the callbacks it passes"));
+    }
     let at = section.at;
     section.finish();
     Chain { name, at, path, deadline }
