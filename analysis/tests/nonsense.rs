@@ -57,3 +57,27 @@ fn a_chain_of_no_callbacks_meets_no_deadline() {
         "`path` of chain `all` is empty: list the callbacks it passes",
     );
 }
+
+/// It runs no more often than the slowest of its topics has messages.
+#[test]
+fn a_join_may_take_longer_than_the_period_of_its_fastest_topic() {
+    let join = |wcet: &str, policy: &str| {
+        let fuse = format!(
+            "all = [\"/scan\", \"/cloud\"]\n{policy}\ndeadline = \"100ms\"\npriority = 5\npublishes = \"/fused\"\n\
+             wcet = \"{wcet}\"\n[callbacks.show]\npriority = 4\ntopic = \"/fused\""
+        );
+        with("topic = \"/scan\"", &fuse) + "[topics]\n\"/cloud\" = { period = \"100ms\" }\n"
+    };
+    let checked =
+        SystemFile::parse(&join("20ms", "")).unwrap_or_else(|problems| panic!("{problems}")).check();
+    let fuse = &checked.callbacks[1];
+    assert!(fuse.entry.name == "plan" && fuse.met, "{fuse:?}");
+    // What it triggers has its period.
+    let show = join("20ms", "").replace("wcet = \"3ms\"", "wcet = \"15ms\"");
+    assert!(SystemFile::parse(&show).is_ok());
+    refuses(&join("101ms", ""), 14, "`wcet` of callback `plan` is 101 ms, more than its period of 100 ms");
+    let show = join("20ms", "").replace("wcet = \"3ms\"", "wcet = \"101ms\"");
+    refuses(&show, 18, "`wcet` of callback `show` is 101 ms, more than its period of 100 ms");
+    let paced = join("20ms", "policy = \"latest_time\"");
+    refuses(&paced, 14, "`wcet` of callback `plan` is 20 ms, more than its period of 10 ms");
+}

@@ -223,28 +223,43 @@ impl<'f> Graph<'f> {
         }
     }
 
-    /// The shortest period of what triggers each callback, if it is known.
+    /// The shortest period of what triggers each callback, if it is known. A join waits for the slowest of its topics, unless it runs at the
+    /// pace of the fastest.
     fn shortest_periods(&self) -> Vec<Option<u64>> {
-        let mut sources: Vec<(u64, usize)> = Vec::new();
-        for (i, callback) in self.file.callbacks.iter().enumerate() {
-            let outside = callback.topics.iter().filter_map(|topic| self.declared.get(topic.value.as_str()));
-            let outside = outside.filter_map(|topic| topic.period.as_ref());
-            let own: Vec<_> = callback.period.iter().collect();
-            let periods = if own.is_empty() { outside.collect() } else { own };
-            sources.extend(periods.into_iter().map(|period| (period.value, i)));
+        let callbacks = &self.file.callbacks;
+        let publishes = |i: usize| callbacks[i].publishes.iter().map(|topic| topic.value.as_str());
+        let mut shortest = vec![None; callbacks.len()];
+        let mut takers: HashMap<&str, Vec<usize>> = HashMap::new();
+        // Each source's period, and the topics that have it.
+        let mut sources: Vec<(u64, Vec<&str>)> = Vec::new();
+        for (i, callback) in callbacks.iter().enumerate() {
+            if let Some(period) = &callback.period {
+                shortest[i] = Some(period.value);
+                sources.push((period.value, publishes(i).collect()));
+                continue;
+            }
+            callback.topics.iter().for_each(|topic| takers.entry(topic.value.as_str()).or_default().push(i));
         }
+        let outside = |topic: &'f Topic| Some((topic.period.as_ref()?.value, vec![topic.name.as_str()]));
+        sources.extend(self.file.topics.iter().filter_map(outside));
         // The shortest first: a callback that is reached has this period, and so have all that it triggers.
         sources.sort_unstable();
-        let triggered = self.triggered();
-        let mut shortest = vec![None; self.file.callbacks.len()];
-        for (period, source) in sources {
-            let mut next = vec![source];
-            while let Some(i) = next.pop() {
-                if shortest[i].is_none() {
-                    shortest[i] = Some(period);
-                    next.extend(
-                        triggered[i].iter().copied().filter(|to| self.file.callbacks[*to].period.is_none()),
-                    );
+        let waits_for_all =
+            |callback: &Callback| callback.all.is_some() && callback.policy() != JoinPolicy::LatestTime;
+        let waits_for = |callback: &Callback| if waits_for_all(callback) { callback.topics.len() } else { 1 };
+        let mut missing: Vec<usize> = callbacks.iter().map(waits_for).collect();
+        let mut seen = HashSet::new();
+        for (period, mut next) in sources {
+            while let Some(topic) = next.pop() {
+                if !seen.insert(topic) {
+                    continue;
+                }
+                for &i in takers.get(topic).into_iter().flatten() {
+                    missing[i] = missing[i].saturating_sub(1);
+                    if missing[i] == 0 && shortest[i].is_none() {
+                        shortest[i] = Some(period);
+                        next.extend(publishes(i));
+                    }
                 }
             }
         }
