@@ -146,7 +146,9 @@ impl LoadedSystem {
         old.iter().find_map(|old| {
             let new = new.iter().find(|new| new.entry.name == old.entry.name)?;
             let (was, is) = (&old.entry, &new.entry);
-            let queue = |of: &CheckedCallback| (of.capacity, of.join.as_ref().map(|join| join.queue_size));
+            let queue_size = |of: &CheckedCallback| of.join.as_ref().map(|join| join.queue_size);
+            // The running queues have the depths that were computed for the old text. A timer has none.
+            let grows = !is.topics.is_empty() && is.depth.is_none() && old.capacity < new.capacity;
             let what = match () {
                 () if (&was.node, was.client) != (&is.node, is.client) => "node",
                 () if (old.core, was.floats) != (new.core, is.floats) => "core",
@@ -159,10 +161,8 @@ impl LoadedSystem {
                 () if was.policy != is.policy => "`policy`",
                 () if old.period_ns != new.period_ns => "period",
                 () if (was.wake_up == WakeUp::Publisher) != (is.wake_up == WakeUp::Publisher) => "wake-up",
-                // The running queue has the depth that was computed for the old text.
-                () if was.depth != is.depth || is.depth.is_none() && queue(old) < queue(new) => {
-                    "queue, which has to be deeper"
-                }
+                () if was.depth != is.depth => "`depth`",
+                () if grows || queue_size(old) < queue_size(new) => "queue, which has to be deeper",
                 () => return None,
             };
             Some(format!("callback `{}` has another {what}", was.name))
@@ -224,4 +224,57 @@ fn thread_of(callback: &CheckedCallback) -> CallbackOptions {
     options.direct_wake = callback.entry.wake_up == WakeUp::Publisher;
     options.is_direct_wake_optional = true;
     if callback.entry.floats { options } else { options.core(callback.core) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HEAD: &str = "[hosts.robot]\ncores = 1\n[nodes.n]\n";
+
+    fn loaded(text: &str) -> LoadedSystem {
+        let file = SystemFile::parse(text).unwrap_or_else(|problems| panic!("{problems}"));
+        let (path, host, checked) = (PathBuf::new(), "robot".to_owned(), file.check());
+        LoadedSystem { path, host, file, checked, sampler_priority: 90, refuses_unlisted: false }
+    }
+
+    #[test]
+    fn a_timer_has_no_queue_that_could_be_too_short() {
+        let text = |wcet: &str| {
+            format!(
+                "{HEAD}[callbacks.high]\nperiod = \"30ms\"\nwcet = \"{wcet}\"\npriority = 20\n\
+                 [callbacks.low]\nperiod = \"10ms\"\nwcet = \"2ms\"\ndeadline = \"30ms\"\npriority = 10\n"
+            )
+        };
+        let (old, new) = (loaded(&text("4ms")), loaded(&text("12ms")));
+        assert!(
+            new.checked.schedulable && old.checked.callbacks[1].capacity < new.checked.callbacks[1].capacity
+        );
+        assert_eq!(old.obstacle(&new), None);
+    }
+
+    #[test]
+    fn each_queue_of_a_join_is_compared_for_itself() {
+        let join = |depth: &str| {
+            let text = format!(
+                "{HEAD}[topics]\na = {{ period = \"10ms\"{depth} }}\nb = {{ period = \"10ms\"{depth} }}\n\
+                 [callbacks.fuse]\nall = [\"a\", \"b\"]\nwindow = \"20ms\"\nwcet = \"1ms\"\n"
+            );
+            let of = |capacity: usize, queue_size: usize| {
+                let mut loaded = loaded(&text);
+                let fuse = &mut loaded.checked.callbacks[0];
+                fuse.capacity = Some(capacity);
+                fuse.join.as_mut().unwrap().queue_size = queue_size;
+                loaded
+            };
+            let deeper = "callback `fuse` has another queue, which has to be deeper".to_owned();
+            assert_eq!(of(3, 5).obstacle(&of(2, 4)), None);
+            assert_eq!(of(3, 4).obstacle(&of(2, 5)), Some(deeper.clone()), "the synchronizer's");
+            let computed = depth.is_empty();
+            assert_eq!(of(2, 4).obstacle(&of(3, 4)), computed.then_some(deeper), "the topics'");
+            loaded(&text)
+        };
+        let (computed, stated) = (join(""), join(", depth = 9"));
+        assert_eq!(computed.obstacle(&stated), Some("callback `fuse` has another `depth`".to_owned()));
+    }
 }
