@@ -48,18 +48,26 @@ pub fn deadline_monotonic(tasks: &[Task], highest: u8) -> Result<Vec<u8>, Analys
 /// # Ok::<(), tautline_analysis::AnalysisError>(())
 /// ```
 pub fn audsley(tasks: &[Task], overheads: &Overheads, highest: u8) -> Result<Vec<u8>, AnalysisError> {
-    let threads = threads(tasks);
-    let lowest = usize::from(highest)
-        .checked_sub(threads.len())
-        .ok_or(AnalysisError::TooFewPriorities { levels: threads.len(), highest })?;
+    let free: Vec<u8> = (1..=highest).rev().collect();
+    audsley_beside(tasks, &[], overheads, &free)
+}
+
+/// As [`audsley`], beside tasks whose priorities are `fixed`. Gives the first of the `free` priorities, which descend.
+pub(crate) fn audsley_beside(
+    tasks: &[Task],
+    fixed: &[Task],
+    overheads: &Overheads,
+    free: &[u8],
+) -> Result<Vec<u8>, AnalysisError> {
+    let mut waiting = threads(tasks);
+    let (levels, highest) = (waiting.len(), u8::try_from(free.len()).unwrap_or(u8::MAX));
+    let used = free.get(..levels).ok_or(AnalysisError::TooFewPriorities { levels, highest })?;
     // A task is above all levels until it is placed.
-    let mut placed: Vec<_> = tasks.iter().map(|task| Task { priority: u8::MAX, ..task.clone() }).collect();
+    let open = tasks.iter().map(|task| Task { priority: u8::MAX, ..task.clone() });
+    let mut placed: Vec<_> = open.chain(fixed.iter().cloned()).collect();
     Core::new(&placed, overheads)?;
-    let mut waiting = threads;
     waiting.sort_by_key(|thread| std::cmp::Reverse(thread.iter().map(|i| tasks[*i].deadline_ns).min()));
-    while !waiting.is_empty() {
-        // At most `highest`, which is a u8.
-        let level = u8::try_from(lowest + 1 + threads_placed(&placed)).unwrap_or(highest);
+    for &level in used.iter().rev() {
         let fits = waiting.iter().position(|thread| {
             thread.iter().for_each(|i| placed[*i].priority = level);
             let meets = |core: &Core, i: usize| {
@@ -81,14 +89,7 @@ pub fn audsley(tasks: &[Task], overheads: &Overheads, highest: u8) -> Result<Vec
             }
         }
     }
-    Ok(placed.iter().map(|task| task.priority).collect())
-}
-
-fn threads_placed(tasks: &[Task]) -> usize {
-    let mut levels: Vec<_> = tasks.iter().map(|task| task.priority).filter(|p| *p < u8::MAX).collect();
-    levels.sort_unstable();
-    levels.dedup();
-    levels.len()
+    Ok(placed[..tasks.len()].iter().map(|task| task.priority).collect())
 }
 
 fn threads(tasks: &[Task]) -> Vec<Vec<usize>> {

@@ -147,7 +147,10 @@ impl Builder<'_> {
                 (0..callbacks.len()).filter(is_own).filter(|i| callbacks[*i].core == core).collect();
             let tasks: Vec<Task> = members.iter().map(|i| callbacks[*i].task.clone()).collect();
             let owners: Vec<usize> = members.iter().map(|i| task_owner[*i]).collect();
-            let chosen = priorities::choose(self.file, &mut self.threads, &tasks, &owners, overheads);
+            let copies = callbacks[own..].iter().filter(|callback| callback.core == core);
+            let copies: Vec<Task> = copies.map(|callback| callback.task.clone()).collect();
+            let chosen =
+                priorities::choose(self.file, &mut self.threads, &tasks, &owners, &copies, overheads);
             let (host, number) = self.cores[core];
             let title = format!("host `{}`, core {number}", self.file.hosts[host].name);
             warnings.extend(

@@ -139,36 +139,45 @@ fn duplicates(file: &Declared, threads: &[Thread], problems: &Collector) {
 }
 
 /// Chooses the priorities that the file leaves open on one core, around those it states. `tasks` are the core's, and
-/// `owner` their threads. Returns a warning if no order meets all deadlines.
+/// `owner` their threads; `copies` are reservations of other cores that may run on it. Returns a warning if no order meets all deadlines.
 pub(super) fn choose(
     file: &Declared,
     threads: &mut [Thread],
     tasks: &[Task],
     owner: &[usize],
+    copies: &[Task],
     overheads: &Overheads,
 ) -> Result<Option<String>, AnalysisError> {
-    let open: Vec<usize> = (0..tasks.len()).filter(|i| threads[owner[*i]].priority.is_none()).collect();
+    let stated = |i: &usize| threads[owner[*i]].priority;
+    let open: Vec<usize> = (0..tasks.len()).filter(|i| stated(i).is_none()).collect();
     if open.is_empty() {
         return Ok(None);
     }
     let taken: Vec<u8> = owner.iter().flat_map(|thread| threads[*thread].priorities(file)).collect();
-    let free: Vec<u8> = (1..=file.highest).rev().filter(|priority| !taken.contains(priority)).collect();
+    let fixed = (0..tasks.len()).filter_map(|i| Some(Task { priority: stated(&i)?, ..tasks[i].clone() }));
+    let fixed: Vec<Task> = fixed.chain(copies.iter().cloned()).collect();
+    let is_free =
+        |priority: &u8| !taken.contains(priority) && fixed.iter().all(|task| task.priority != *priority);
+    let free: Vec<u8> = (1..=file.highest).rev().filter(is_free).collect();
     let candidates: Vec<Task> = open.iter().map(|i| tasks[*i].clone()).collect();
     let levels = u8::try_from(free.len()).unwrap_or(file.highest);
+    let of_levels = |chosen: Vec<u8>| -> Vec<u8> {
+        chosen.into_iter().map(|level| free[usize::from(levels - level)]).collect()
+    };
     let (chosen, warning) = match file.policy {
-        Policy::RateMonotonic => (assign::rate_monotonic(&candidates, levels)?, None),
-        Policy::DeadlineMonotonic => (assign::deadline_monotonic(&candidates, levels)?, None),
-        Policy::Audsley => match assign::audsley(&candidates, overheads, levels) {
+        Policy::RateMonotonic => (of_levels(assign::rate_monotonic(&candidates, levels)?), None),
+        Policy::DeadlineMonotonic => (of_levels(assign::deadline_monotonic(&candidates, levels)?), None),
+        Policy::Audsley => match assign::audsley_beside(&candidates, &fixed, overheads, &free) {
             Ok(chosen) => (chosen, None),
             Err(error @ AnalysisError::NoAssignment { .. }) => {
                 let warning = format!("{error}; priorities are deadline-monotonic instead");
-                (assign::deadline_monotonic(&candidates, levels)?, Some(warning))
+                (of_levels(assign::deadline_monotonic(&candidates, levels)?), Some(warning))
             }
             Err(error) => return Err(error),
         },
     };
-    for (i, level) in open.iter().zip(chosen) {
-        threads[owner[*i]].priority = Some(free[usize::from(levels - level)]);
+    for (i, priority) in open.iter().zip(chosen) {
+        threads[owner[*i]].priority = Some(priority);
     }
     Ok(warning)
 }
