@@ -37,3 +37,22 @@ fn the_search_for_an_order_knows_reservations_of_other_cores() {
     assert_eq!(priorities(&checked), [("first", 100), ("late", 80), ("tight", 79)]);
     assert!(checked.schedulable, "{checked:?}");
 }
+
+#[test]
+fn no_priority_is_chosen_that_is_not_below_the_samplers() {
+    let text = |sampler: u8, shared: &str| {
+        format!(
+            "[hosts.h]\ncores = 1\nsampler_priority = {sampler}\n[nodes.n]\n[groups.g]\n\
+             [callbacks.fast]\nperiod = \"10ms\"\nwcet = \"1ms\"\n{shared}\n\
+             [callbacks.slow]\nperiod = \"20ms\"\nwcet = \"1ms\"\ngroup = \"g\"\n"
+        )
+    };
+    for (sampler, expected) in [(90, [80, 79]), (81, [80, 79]), (50, [49, 48]), (3, [2, 1])] {
+        let checked = check(&text(sampler, ""));
+        assert_eq!(priorities(&checked), [("fast", expected[0]), ("slow", expected[1])], "{sampler}");
+        assert!(checked.schedulable, "{checked:?}");
+    }
+    let few = SystemFile::parse(&text(2, "")).unwrap_err().to_string();
+    assert!(few.contains("2 priorities are needed but only 1 are free: raise `priorities.highest`"), "{few}");
+    assert_eq!(priorities(&check(&text(2, "group = \"g\""))), [("fast", 1), ("slow", 1)]);
+}

@@ -21,7 +21,7 @@ use super::{
     TopicEntry,
 };
 use crate::system::{Callback, Chain, Core, Matching, Part, Relay, System, Transfer, Unbounded};
-use crate::{Hold, Order, Overheads, Rank, Release, Task, Throttling};
+use crate::{AnalysisError, Hold, Order, Overheads, Rank, Release, Task, Throttling};
 
 pub(super) fn build(text: &str) -> Result<SystemFile, Problems> {
     let problems = Collector::new(text);
@@ -149,15 +149,27 @@ impl Builder<'_> {
             let owners: Vec<usize> = members.iter().map(|i| task_owner[*i]).collect();
             let copies = callbacks[own..].iter().filter(|callback| callback.core == core);
             let copies: Vec<Task> = copies.map(|callback| callback.task.clone()).collect();
-            let chosen =
-                priorities::choose(self.file, &mut self.threads, &tasks, &owners, &copies, overheads);
             let (host, number) = self.cores[core];
             let title = format!("host `{}`, core {number}", self.file.hosts[host].name);
-            warnings.extend(
-                chosen
-                    .map_err(|error| format!("{title}: {error}"))?
-                    .map(|warning| format!("{title}: {warning}")),
+            // A callback that is not below its sampler has no bound.
+            let highest = self.file.highest.min(self.file.hosts[host].sampler_priority.saturating_sub(1));
+            let chosen = priorities::choose(
+                self.file,
+                &mut self.threads,
+                &tasks,
+                &owners,
+                &copies,
+                overheads,
+                highest,
             );
+            let refused = |error| match error {
+                AnalysisError::TooFewPriorities { levels, highest } => format!(
+                    "{title}: {levels} priorities are needed but only {highest} are free: raise `priorities.highest`, which is 99 at most, \
+                     and the `sampler_priority` above it, or let callbacks share threads"
+                ),
+                error => format!("{title}: {error}"),
+            };
+            warnings.extend(chosen.map_err(refused)?.map(|warning| format!("{title}: {warning}")));
             members.iter().zip(owners).for_each(|(i, owner)| {
                 callbacks[*i].task.priority = self.threads[owner].priority.unwrap_or(1);
             });

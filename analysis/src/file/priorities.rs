@@ -139,7 +139,8 @@ fn duplicates(file: &Declared, threads: &[Thread], problems: &Collector) {
 }
 
 /// Chooses the priorities that the file leaves open on one core, around those it states. `tasks` are the core's, and
-/// `owner` their threads; `copies` are reservations of other cores that may run on it. Returns a warning if no order meets all deadlines.
+/// `owner` their threads; `copies` are reservations of other cores that may run on it. No priority is above `highest`. Returns a warning if no
+/// order meets all deadlines.
 pub(super) fn choose(
     file: &Declared,
     threads: &mut [Thread],
@@ -147,6 +148,7 @@ pub(super) fn choose(
     owner: &[usize],
     copies: &[Task],
     overheads: &Overheads,
+    highest: u8,
 ) -> Result<Option<String>, AnalysisError> {
     let stated = |i: &usize| threads[owner[*i]].priority;
     let open: Vec<usize> = (0..tasks.len()).filter(|i| stated(i).is_none()).collect();
@@ -158,9 +160,9 @@ pub(super) fn choose(
     let fixed: Vec<Task> = fixed.chain(copies.iter().cloned()).collect();
     let is_free =
         |priority: &u8| !taken.contains(priority) && fixed.iter().all(|task| task.priority != *priority);
-    let free: Vec<u8> = (1..=file.highest).rev().filter(is_free).collect();
+    let free: Vec<u8> = (1..=highest).rev().filter(is_free).collect();
     let candidates: Vec<Task> = open.iter().map(|i| tasks[*i].clone()).collect();
-    let levels = u8::try_from(free.len()).unwrap_or(file.highest);
+    let levels = u8::try_from(free.len()).unwrap_or(highest);
     let of_levels = |chosen: Vec<u8>| -> Vec<u8> {
         chosen.into_iter().map(|level| free[usize::from(levels - level)]).collect()
     };
