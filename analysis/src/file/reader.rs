@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::ops::RangeInclusive;
 use toml::Spanned;
-use toml::de::{DeTable, DeValue};
+use toml::de::{DeInteger, DeTable, DeValue};
 
 use super::problem::{Adder, Collector, Problems, is_unprintable};
 
@@ -178,12 +178,12 @@ impl<'t> Section<'t> {
 
     /// A number in this range, with a fraction or without.
     pub fn number_in(&mut self, key: &'static str, range: RangeInclusive<f64>, unit: &str) -> Option<f64> {
-        let text = match self.raw(key)? {
-            DeValue::Integer(number) => number.as_str(),
-            DeValue::Float(number) => number.as_str(),
-            other => kind(other),
+        let (number, text) = match self.raw(key)? {
+            DeValue::Integer(number) => (integer(number).map(|number| number as f64), number.to_string()),
+            DeValue::Float(number) => (number.as_str().parse().ok(), number.to_string()),
+            other => (None, kind(other).to_owned()),
         };
-        let number = text.parse().ok().filter(|number| range.contains(number));
+        let number = number.filter(|number| range.contains(number));
         if number.is_none() {
             let (least, most) = range.into_inner();
             let at = self.at(key).unwrap_or(self.at);
@@ -270,15 +270,15 @@ impl<'t> Section<'t> {
     /// A whole number in the array `key`.
     pub fn integer_of(&self, key: &str, value: &Value<'_>) -> Option<At<i64>> {
         let at = value.span().start;
-        let number = match value.get_ref() {
-            DeValue::Integer(number) => i64::from_str_radix(number.as_str(), number.radix()).ok(),
-            _ => None,
+        let problem = match value.get_ref() {
+            DeValue::Integer(number) => match integer(number) {
+                Some(value) => return Some(At { value, at }),
+                None => format!("`{key}` is {number}, out of range: write a whole number of at most 63 bits"),
+            },
+            other => format!("`{key}` must be a whole number, not {}", kind(other)),
         };
-        if number.is_none() {
-            let kind = kind(value.get_ref());
-            self.problem(at).add(format!("`{key}` must be a whole number, not {kind}"));
-        }
-        number.map(|value| At { value, at })
+        self.problem(at).add(problem);
+        None
     }
 
     /// A time in the array `key`.
@@ -294,6 +294,10 @@ impl<'t> Section<'t> {
         };
         parsed.map(|value| At { value, at }).map_err(|message| self.problem(at).add(message)).ok()
     }
+}
+
+fn integer(number: &DeInteger<'_>) -> Option<i64> {
+    i64::from_str_radix(number.as_str(), number.radix()).ok()
 }
 
 /// Exact: a fraction below a nanosecond is refused.
@@ -330,7 +334,30 @@ fn kind(value: &DeValue<'_>) -> &'static str {
 
 #[cfg(test)]
 mod tests {
-    use super::nanoseconds;
+    use super::{Section, nanoseconds, read};
+
+    #[test]
+    fn numbers_are_read_in_their_radix_and_named_if_they_are_too_large() {
+        let number = |text: &str| {
+            let found =
+                read(text, "`n = 1`", |mut root: Section<'_>| root.number_in("n", 0.5..=1e3, "a number"));
+            found.map_err(|problems| problems.to_string())
+        };
+        for text in ["n = 0x10", "n = 16", "n = 16.0"] {
+            assert_eq!(number(text), Ok(Some(16.0)), "{text}");
+        }
+        let refused = |shown: &str| Err(format!("1:5: `n` is {shown}: write a number from 0.5 to 1000"));
+        for wrong in ["nan", "inf", "-1", "0x1000"] {
+            assert_eq!(number(&format!("n = {wrong}")), refused(wrong));
+        }
+        let integer = |text: &str| read(text, "`n = 1`", |mut root: Section<'_>| root.integer("n"));
+        assert_eq!(integer("n = 0x10").unwrap().unwrap().value, 16);
+        let refused = integer("n = 9223372036854775808").unwrap_err().to_string();
+        assert!(
+            refused.contains("`n` is 9223372036854775808, out of range: write a whole number"),
+            "{refused}"
+        );
+    }
 
     #[test]
     fn times_are_exact() {
