@@ -5,7 +5,7 @@
 mod schemas;
 
 use schemas::Checked;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use std::future::pending;
@@ -36,9 +36,9 @@ fn text(wcet: &str, period: &str) -> String {
     )
 }
 
-fn apply(file: &File, more: &[&str]) -> Output {
+fn apply(file: &Path, more: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));
-    command.arg("apply").arg(&file.0).args(["--domain", &DOMAIN.to_string()]).args(more);
+    command.arg("apply").arg(file).args(["--domain", &DOMAIN.to_string()]).args(more);
     command.checked()
 }
 
@@ -50,30 +50,35 @@ fn said(output: &Output) -> (Option<i32>, String) {
 #[test]
 fn its_answers_and_exit_codes() {
     let file = File::new(&text("1ms", "10ms"));
-    let (code, answer) = said(&apply(&file, &[]));
+    let (code, answer) = said(&apply(&file.0, &[]));
     assert!(code == Some(1) && answer.contains("no process of domain 220 runs with"), "{answer}");
 
     let context = Context::builder().domain(DOMAIN).realtime(Realtime::Off).system(&file.0).build().unwrap();
     let node = Node::create(context.clone(), "n", "").unwrap();
     let callback = node.spawn_callback(context.callback("c").unwrap(), pending()).unwrap();
     std::fs::write(&file.0, text("2ms", "10ms")).unwrap();
-    let (code, answer) = said(&apply(&file, &[]));
+    let (code, answer) = said(&apply(&file.0, &[]));
     assert!(code == Some(0) && answer.contains("Taken up in domain 220 by"), "{answer}");
     assert_eq!(callback.stats().budget(), Some(Duration::from_millis(2)));
-    let json: serde_json::Value = serde_json::from_slice(&apply(&file, &["--json"]).stdout).unwrap();
+    // By another path, it is the same file.
+    let folder = file.0.parent().unwrap();
+    let around = folder.join("..").join(folder.file_name().unwrap()).join(file.0.file_name().unwrap());
+    let (code, answer) = said(&apply(&around, &[]));
+    assert!(code == Some(0) && answer.contains("Taken up in domain 220 by"), "{answer}");
+    let json: serde_json::Value = serde_json::from_slice(&apply(&file.0, &["--json"]).stdout).unwrap();
     assert_eq!(json["processes"].as_array().unwrap().len(), 1);
 
     std::fs::write(&file.0, text("2ms", "20ms")).unwrap();
-    let (code, answer) = said(&apply(&file, &[]));
+    let (code, answer) = said(&apply(&file.0, &[]));
     assert!(
         code == Some(1) && answer.contains("another period") && answer.contains("nothing was changed"),
         "{answer}"
     );
     std::fs::write(&file.0, text("2ms", "10ms") + "jitter = \"9ms\"\n").unwrap();
-    let (code, answer) = said(&apply(&file, &[]));
+    let (code, answer) = said(&apply(&file.0, &[]));
     assert!(code == Some(1) && answer.contains("not admitted"), "{answer}");
     std::fs::write(&file.0, "[hosts").unwrap();
-    let (code, answer) = said(&apply(&file, &[]));
+    let (code, answer) = said(&apply(&file.0, &[]));
     assert!(code == Some(2) && answer.contains(":1:"), "{answer}");
     assert_eq!(callback.stats().budget(), Some(Duration::from_millis(2)));
 }

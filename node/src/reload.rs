@@ -21,7 +21,7 @@ use tautline_rt::Patience;
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::domain::shared_path;
 use tautline_system::{
-    Admission, Gate, LoadedSystem, Running, SystemError, decide, label_of, shared_statistics,
+    Admission, Gate, LoadedSystem, Running, SystemError, decide, is_one_file, label_of, shared_statistics,
 };
 
 /// How long a process may take to answer.
@@ -124,7 +124,8 @@ pub fn apply_system(domain: u32, path: impl AsRef<Path>) -> Result<Vec<String>> 
         let Ok(Some(snapshot)) = statistics.read() else { continue };
         let process = snapshot.process;
         // A process that is played from a bag has no callbacks.
-        if process.system_path != path || !statistics.is_running() || !process.stands_in.is_empty() {
+        let is_member = is_one_file(&process.system_path, &path) && process.stands_in.is_empty();
+        if !is_member || !statistics.is_running() {
             continue;
         }
         if !process.takes_orders {

@@ -81,7 +81,9 @@ impl Running {
             }
         }
         for snapshot in &mut found {
-            if let Some((_, file)) = without.filter(|(path, _)| snapshot.process.system_path == *path) {
+            if let Some((_, file)) =
+                without.filter(|(path, _)| is_one_file(&snapshot.process.system_path, path))
+            {
                 let counts =
                     |of: &CallbackSnapshot| file.callbacks().iter().any(|entry| entry.name == of.name);
                 snapshot.callbacks.retain(|callback| !counts(callback));
@@ -186,6 +188,11 @@ fn is_callback_running(domain: u32, system: &LoadedSystem, callback: &str) -> Re
         }
     }
     Ok(false)
+}
+
+/// Whether two paths lead to one file, by symbolic links or `..`.
+pub fn is_one_file(one: &Path, other: &Path) -> bool {
+    one == other || one.canonicalize().is_ok_and(|one| other.canonicalize().is_ok_and(|other| one == other))
 }
 
 /// The name of a process in messages.

@@ -12,7 +12,7 @@ mod error;
 mod loaded;
 mod statistics;
 
-pub use admission::{Admission, Gate, Running, admit_callbacks, admit_system, decide, label_of};
+pub use admission::{Admission, Gate, Running, admit_callbacks, admit_system, decide, is_one_file, label_of};
 pub use environment::{
     CORE_TIME_PIECE, admission_of_environment, core_time_of_environment, environment,
     realtime_of_environment, switch_of_environment,
