@@ -81,3 +81,32 @@ fn a_join_may_take_longer_than_the_period_of_its_fastest_topic() {
     let paced = join("20ms", "policy = \"latest_time\"");
     refuses(&paced, 14, "`wcet` of callback `plan` is 20 ms, more than its period of 10 ms");
 }
+
+/// With it the node does not start.
+#[test]
+fn a_queue_that_no_topic_has_is_no_queue() {
+    let text = |stall: &str, depth: &str| {
+        format!(
+            "[hosts.h]\ncores = 1\nstall = \"{stall}\"\n[nodes.n]\n[topics]\nt = {{ period = \"100us\"{depth} }}\n\
+             [callbacks.c]\ntopic = \"t\"\nwcet = \"10us\"\n"
+        )
+    };
+    for (depth, good) in [("0", false), ("1", true), ("65536", true), ("65537", false), ("-1", false)] {
+        let parsed = SystemFile::parse(&text("1ms", &format!(", depth = {depth}")));
+        assert_eq!(parsed.is_ok(), good, "{depth}");
+        let said = format!("`depth` of topic `t` is {depth}: set it to \"auto\", or to 1 to 65536");
+        assert!(parsed.err().is_none_or(|problems| problems.to_string().contains(&said)), "{depth}");
+    }
+    // 8.00001 s, of which each 100 us bring a message.
+    for (stall, depth, good) in [("6s", "", true), ("8s", "", false), ("8s", ", depth = 1", true)] {
+        let checked = SystemFile::parse(&text(stall, depth)).unwrap().check();
+        assert_eq!(checked.schedulable, good, "{stall} {depth}: {:?}", checked.warnings);
+        let said = "callback `c` needs a queue of 80001, but a topic has at most 65536: lower the rate";
+        assert_eq!(
+            checked.warnings.iter().any(|warning| warning.contains(said)),
+            !good,
+            "{:?}",
+            checked.warnings
+        );
+    }
+}

@@ -5,7 +5,7 @@ mod common;
 
 use common::File;
 use std::time::Duration;
-use tautline::{Context, CoreSet, Error, Node, Policy, Realtime, SystemError};
+use tautline::{Context, CoreSet, Error, Limits, Node, Policy, Realtime, SystemError};
 
 const DOMAIN: u32 = 195;
 
@@ -101,6 +101,7 @@ fn queues_are_as_deep_as_computed_or_stated() {
     let computed = report.callbacks.iter().find(|callback| callback.entry.name == "slow").unwrap().capacity;
     assert_eq!(Some(ctx.callback_qos("slow").unwrap().depth), computed);
     assert_eq!(ctx.callback_qos("stated").unwrap().depth, 7);
+    assert_eq!(tautline_analysis::file::MOST_DEPTH, Limits::MAX_DEPTH as u64);
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
-use super::{CallbackEntry, Client, JoinPolicy, OverrunPolicy, SystemFile};
+use super::{CallbackEntry, Client, JoinPolicy, MOST_DEPTH, OverrunPolicy, SystemFile};
 use crate::system::{Chain, ChainBound, Core, SystemReport};
 use crate::{AnalysisError, Overheads, Release, Reservation, Task, Throttling, utilisation};
 
@@ -153,6 +153,7 @@ pub(super) fn check(file: &SystemFile) -> CheckedSystem {
     let faults: Vec<String> = above_samplers(file, &callbacks)
         .chain(split_nodes(&callbacks))
         .chain(endless_waits(&callbacks))
+        .chain(endless_queues(&callbacks))
         .collect();
     let schedulable = faults.is_empty() && callbacks.iter().all(|c| c.met) && chains.iter().all(|c| c.met);
     let warnings = warnings(file, &report, &callbacks, faults);
@@ -429,6 +430,20 @@ fn endless_waits(callbacks: &[CheckedCallback]) -> impl Iterator<Item = String> 
         inputs.map(|(topic, _)| {
             let name = &callback.entry.name;
             format!("callback `{name}`: nothing bounds how long a message of `{topic}` waits; shorten the periods or the jitter of its topics")
+        })
+    })
+}
+
+/// A fault of each callback whose queue no topic can have, so that its node does not start.
+fn endless_queues(callbacks: &[CheckedCallback]) -> impl Iterator<Item = String> {
+    callbacks.iter().filter_map(|callback| {
+        let (CallbackEntry { name, client, topics, depth, .. }, capacity) = (&callback.entry, callback.capacity?);
+        let is_computed = *client == Client::Tautline && !topics.is_empty() && depth.is_none();
+        (is_computed && capacity as u64 > MOST_DEPTH).then(|| {
+            format!(
+                "callback `{name}` needs a queue of {capacity}, but a topic has at most {MOST_DEPTH}: lower the rate of its topics, its \
+                 response time, or the `stall` of its hosts, or state the `depth`"
+            )
         })
     })
 }

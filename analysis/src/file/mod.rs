@@ -26,6 +26,9 @@ mod streams;
 pub mod version;
 mod wake;
 
+/// The longest queue that a topic may have: the transport has no longer ones.
+pub const MOST_DEPTH: u64 = 65_536;
+
 pub use check::{CheckedCallback, CheckedChain, CheckedCore, CheckedJoin, CheckedSystem};
 pub use problem::{Problem, Problems};
 pub use wake::WakeUp;

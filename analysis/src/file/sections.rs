@@ -2,7 +2,7 @@
 //! Reads the sections of the file: their keys, and the values allowed for each.
 use super::declared::{Callback, Chain, Costs, Declared, Group, Host, Node, Policy, Topic};
 use super::reader::{At, Section};
-use super::{Client, Executor, JoinPolicy, LinkPriority, OverrunPolicy, ThreadPriority};
+use super::{Client, Executor, JoinPolicy, LinkPriority, MOST_DEPTH, OverrunPolicy, ThreadPriority};
 use crate::{LockProtocol, Order, Reservation};
 use toml::de::DeValue;
 
@@ -186,9 +186,9 @@ fn topic(name: String, mut section: Section<'_>) -> Topic {
     let is_auto = section.raw("depth").is_some_and(|depth| depth.as_str() == Some("auto"));
     let depth = if is_auto { None } else { section.integer("depth") };
     let depth = depth.and_then(|At { value, at }| {
-        let depth = u64::try_from(value).ok().filter(|depth| *depth > 0);
+        let depth = u64::try_from(value).ok().filter(|depth| (1..=MOST_DEPTH).contains(depth));
         if depth.is_none() {
-            let fix = "set it to \"auto\" or 1 and above";
+            let fix = format!("set it to \"auto\", or to 1 to {MOST_DEPTH}");
             section.problem(at).add(format!("`depth` of topic `{name}` is {value}: {fix}"));
         }
         depth.map(|value| At { value, at })
