@@ -548,16 +548,24 @@ impl File {
         let wcet = format!("wcet = \"{}\"", time(rounded_up(*longest_ns)));
         let of = if *is_exact { "processor time" } else { "time from start to end" };
         self.guess(&wcet, &format!("the longest {of} of {runs} runs"));
+        let reservation = thread.filter(|_| group.is_none()).and_then(|thread| match thread.policy {
+            Policy::Deadline { runtime_ns, period_ns } => Some((time(runtime_ns), time(period_ns))),
+            _ => None,
+        });
         match thread.map(core_of) {
             Some((core, false)) => self.line(&format!("core = {core}")),
+            Some((_, true)) if reservation.is_some() => self.line("core = \"any\""),
             Some((core, true)) => self.guess(&format!("core = {core}"), "its thread may run on others, too"),
             None => self.guess("core = 0", "its thread has ended"),
         }
         let priority = thread.and_then(|thread| fifo(thread.policy));
-        match (group, priority) {
-            (Some(group), _) => self.line(&format!("group = {group:?}")),
-            (None, Some(priority)) => self.line(&format!("priority = {priority}")),
-            (None, None) => self.line("# It has no real-time priority: [priorities] chooses one."),
+        match (group, priority, reservation) {
+            (Some(group), ..) => self.line(&format!("group = {group:?}")),
+            (None, Some(priority), _) => self.line(&format!("priority = {priority}")),
+            (None, None, Some((runtime, period))) => {
+                self.line(&format!("reservation = {{ runtime = \"{runtime}\", period = \"{period}\" }}"))
+            }
+            (None, None, None) => self.line("# It has no real-time priority: [priorities] chooses one."),
         }
         if shares && priority.is_some() {
             self.line("shares_priority = true       # with another thread of its core");
@@ -655,5 +663,32 @@ mod tests {
             of("/radar", 5, 21),
         ];
         assert_eq!(multi_threaded(&callbacks), BTreeSet::from(["/lidar", "/map"]));
+    }
+
+    #[test]
+    fn a_thread_with_a_reservation_is_described_with_it() {
+        let callback = Callback {
+            key: "points".to_owned(),
+            node: "/lidar".to_owned(),
+            process: 1,
+            tid: 1,
+            source: ObjectId(1),
+            trigger: Trigger::Timer(20_000_000),
+            runs: 1,
+            longest_ns: 1_000_000,
+            is_exact: true,
+            publishes: BTreeSet::new(),
+        };
+        for (cores, core) in [("0", "core = 0\n"), ("0-1", "core = \"any\"\n")] {
+            let cores = rt::CoreSet::parse(cores).unwrap();
+            let policy = Policy::Deadline { runtime_ns: 4_200_000, period_ns: 20_000_000 };
+            let thread = ThreadInfo { tid: 1, name: "cb:points".to_owned(), policy, cores };
+            let mut file = File { text: "[hosts.robot]\ncores = 2\n[nodes.lidar]\n".to_owned(), guesses: 0 };
+            file.callback(&callback, Some(&thread), None, false);
+            assert!(file.text.contains(core), "{}", file.text);
+            let parsed = tautline_analysis::file::SystemFile::parse(&file.text).unwrap();
+            let reservation = parsed.callbacks()[0].reservation.unwrap();
+            assert_eq!((reservation.runtime_ns, reservation.period_ns), (4_200_000, 20_000_000));
+        }
     }
 }
