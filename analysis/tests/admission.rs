@@ -124,6 +124,7 @@ fn thread(core: Option<usize>, priority: u8) -> LooseThread {
         priority,
         reservation: None,
         period_ns: Some(10_000_000),
+        streams: 1,
         jitter_ns: 0,
         budget_ns: Some(1_000_000),
         deadline_ns: Some(10_000_000),

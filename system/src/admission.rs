@@ -14,12 +14,13 @@
 use crate::error::{Result, SystemError};
 use crate::loaded::LoadedSystem;
 use crate::statistics::shared_statistics;
+use std::cell::OnceCell;
 use std::fs::{File, TryLockError};
 use std::path::Path;
 use std::time::Duration;
-use tautline_analysis::Reservation;
-use tautline_analysis::file::SystemFile;
 use tautline_analysis::file::admission::{Broken, Candidate, LooseThread, Machine, Share};
+use tautline_analysis::file::{CheckedCallback, CheckedSystem, SystemFile};
+use tautline_analysis::{Release, Reservation};
 use tautline_executor::{Admitted, CallbackOptions, CallbackSnapshot, ProcessInfo, ProcessSnapshot};
 use tautline_rt::{Patience, Policy, domain::shared_path};
 
@@ -53,8 +54,19 @@ pub struct Running {
 #[derive(Debug)]
 struct FileInUse {
     file: SystemFile,
+    /// Its analysis, once it is needed.
+    checked: OnceCell<CheckedSystem>,
     host: String,
     label: String,
+}
+
+impl FileInUse {
+    /// How many topics, or timers, release the callback `name`, and how late each may be.
+    fn releases_of(&self, name: &str) -> (usize, u64) {
+        let checked = self.checked.get_or_init(|| self.file.check());
+        let callback = checked.callbacks.iter().find(|of| of.entry.name == name && of.host == self.host);
+        callback.map_or((1, 0), streams_of)
+    }
 }
 
 impl Running {
@@ -118,7 +130,8 @@ impl Running {
         let label = process.system_path.display().to_string();
         match SystemFile::read(&process.system_path) {
             Ok(file) if file.fingerprint() == process.system_hash => {
-                self.files.push(FileInUse { file, host: process.host.clone(), label });
+                let (checked, host) = (OnceCell::new(), process.host.clone());
+                self.files.push(FileInUse { file, checked, host, label });
             }
             // Only the callbacks that run now count, with the needs that their statistics state.
             Ok(_) => self.notes.push(format!(
@@ -162,6 +175,8 @@ impl Running {
                 return seen.push(key);
             }
         }
+        let (streams, jitter_ns) =
+            self.file_of(process).map_or((1, 0), |used| used.releases_of(&callback.name));
         self.threads.push(LooseThread {
             name: callback.name.clone(),
             label: label_of(process),
@@ -169,7 +184,8 @@ impl Running {
             priority,
             reservation,
             period_ns: callback.period_ns,
-            jitter_ns: 0,
+            streams,
+            jitter_ns,
             budget_ns: callback.budget_ns,
             deadline_ns: callback.deadline_ns,
         });
@@ -302,20 +318,26 @@ fn loose_thread(
     let cores =
         thread.cores.or_else(|| tautline_rt::current_affinity().ok().filter(|_| reservation.is_none()));
     let mut cores = cores.iter().flat_map(|cores| cores.iter());
+    let entry = of_file.and_then(|system| system.find(&callback.name).ok());
+    let (streams, jitter_ns) = entry.map_or((1, 0), streams_of);
     LooseThread {
         name: callback.name.clone(),
         label: label_of(&ProcessInfo::of_this()),
         core: cores.next().filter(|_| cores.next().is_none()),
         priority: thread.policy.realtime_priority().unwrap_or(1),
         reservation,
-        // Messages of several topics may arrive at once: they count as one topic with the rate of all together.
-        period_ns: callback
-            .period
-            .map(|period| ns(period) / of_file.map_or(1, |of| of.streams(&callback.name))),
-        jitter_ns: of_file.map_or(0, |system| system.jitter_ns(&callback.name)),
+        period_ns: callback.period.map(ns),
+        streams,
+        jitter_ns,
         budget_ns: callback.budget.map(ns),
         deadline_ns: callback.effective_deadline().map(ns),
     }
+}
+
+/// How many topics, or timers, release a callback, and how late each may be.
+fn streams_of(callback: &CheckedCallback) -> (usize, u64) {
+    let jitter_ns = callback.releases.iter().map(Release::jitter_ns).max().unwrap_or(0);
+    (callback.releases.len().max(1), jitter_ns)
 }
 
 /// Returns the reservation of a policy, if it is one.
@@ -396,5 +418,37 @@ mod tests {
         let said = Gate::enter(9, Admission::Check).unwrap_err().to_string();
         assert!(said.starts_with("what runs in domain 9 cannot be read: "), "{said}");
         assert!(said.contains("TAUT_ADMISSION=off"), "{said}");
+    }
+
+    /// By hand: two jobs of `drive` are released at once, and `low` ends after 10 + 10 + 25 ms. One each 50 ms would leave it 10 + 25 ms.
+    #[test]
+    fn messages_of_several_topics_that_release_a_second_instance_come_at_once() {
+        let path = std::env::temp_dir().join(format!("tautline-streams-{}.toml", std::process::id()));
+        let text = "[hosts.robot]\ncores = 1\n[nodes.n]\n[topics]\na = { period = \"100ms\" }\nb = { period = \"100ms\" }\n\
+                    [callbacks.drive]\ntopic = [\"a\", \"b\"]\nwcet = \"10ms\"\npriority = 50\n";
+        std::fs::write(&path, text).unwrap();
+        let system = LoadedSystem::read(&path, None).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        let (file, checked, host) = (system.file.clone(), OnceCell::new(), system.host.clone());
+        let used = FileInUse { file, checked, host, label: system.label() };
+        assert_eq!(used.releases_of("drive"), (2, 0));
+        let options = system.options("drive").unwrap();
+        let drive = loose_thread(&options, &options, Some(&system));
+        let ms = 1_000_000;
+        let low = LooseThread {
+            name: "low".into(),
+            priority: 10,
+            streams: 1,
+            budget_ns: Some(25 * ms),
+            deadline_ns: Some(40 * ms),
+            ..drive.clone()
+        };
+        let mut machine = Machine::default();
+        machine.add_thread(drive);
+        let late = |deadline_ns| {
+            let low = LooseThread { deadline_ns: Some(deadline_ns), ..low.clone() };
+            machine.admit(&Candidate::Thread(low)).broken.iter().map(|of| of.response_ns).collect::<Vec<_>>()
+        };
+        assert_eq!((late(45 * ms), late(40 * ms)), (vec![], vec![Some(45 * ms)]));
     }
 }

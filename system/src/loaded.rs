@@ -187,17 +187,6 @@ impl LoadedSystem {
         })
     }
 
-    /// How many topics, or timers, release the callback `name`: 1 or more.
-    pub fn streams(&self, name: &str) -> u64 {
-        self.find(name).map_or(1, |callback| callback.releases.len().max(1) as u64)
-    }
-
-    /// How late the callback `name` may be released.
-    pub fn jitter_ns(&self, name: &str) -> u64 {
-        let jitter = |callback: &CheckedCallback| callback.releases.iter().map(|of| of.jitter_ns()).max();
-        self.find(name).ok().and_then(jitter).unwrap_or(0)
-    }
-
     /// The queue depth of the callback `name`: as the file says, else as the analysis computed.
     ///
     /// # Errors

@@ -10,7 +10,7 @@ use super::{
     ThreadPriority, WakeUp, locks, reservations,
 };
 use crate::system::{Callback, Core, Relay};
-use crate::{Overheads, Reservation, Task};
+use crate::{Order, Overheads, Reservation, Task};
 
 /// A system file in use, as seen by the machine that is one of its hosts.
 #[derive(Debug, Clone, Copy)]
@@ -39,6 +39,8 @@ pub struct LooseThread {
     /// Shortest time between two releases. Without it, or without a budget, nothing at its priority or below has a
     /// bound.
     pub period_ns: Option<u64>,
+    /// How many topics release it, each with this period; 1 for a timer. Their messages may come at once.
+    pub streams: usize,
     /// How much later than nominal a release may be.
     pub jitter_ns: u64,
     /// The processor time of a job.
@@ -301,7 +303,7 @@ impl Union {
         self.file.warnings.extend(file.warnings.iter().cloned());
     }
 
-    /// Adds a thread as a task of its own: on each core of the machine, if it may run on several.
+    /// Adds a thread as a task for each of its streams: on each core of the machine, if it may run on several.
     fn add_thread(&mut self, origin: Origin, thread: &LooseThread) {
         let here = |entry: &(usize, &CoreEntry)| entry.1.host == HERE;
         let core = |number| CoreEntry {
@@ -326,15 +328,20 @@ impl Union {
             _ => (1_000_000_000, 1_000_000_000),
         };
         let deadline_ns = thread.deadline_ns.unwrap_or(period_ns);
+        let streams = if thread.reservation.is_some() { 1 } else { thread.streams.max(1) };
         for &core in cores {
             let (period, wcet) = (Duration::from_nanos(period_ns), Duration::from_nanos(wcet_ns));
             let task = Task::new(&thread.name, period, wcet, thread.priority)
                 .deadline(Duration::from_nanos(deadline_ns))
                 .jitter(Duration::from_nanos(thread.jitter_ns));
             let priority = thread.reservation.map_or(thread.priority, |_| Reservation::PRIORITY);
-            let task = Task { reservation: thread.reservation, priority, ..task };
+            let mut task = Task { reservation: thread.reservation, priority, ..task };
+            if streams > 1 {
+                task = task.group(self.groups, Order::Any);
+                self.groups = self.groups.saturating_add(1);
+            }
             let index = self.file.system.callbacks.len();
-            self.file.system.callbacks.push(Callback::new(task, core));
+            self.file.system.callbacks.extend(std::iter::repeat_n(Callback::new(task, core), streams));
             self.file.callbacks.push(CallbackEntry {
                 name: thread.name.clone(),
                 node: thread.label.clone(),
@@ -359,7 +366,7 @@ impl Union {
                 depth: None,
                 deadline_ns,
                 input_max: None,
-                tasks: index..index + 1,
+                tasks: index..index + streams,
             });
             self.callbacks.push((origin, 0));
         }
