@@ -285,8 +285,19 @@ impl<'t> Section<'t> {
     pub fn time_of(&self, key: &str, value: &Value<'_>) -> Option<At<u64>> {
         let at = value.span().start;
         let parsed = match value.get_ref() {
-            DeValue::String(text) => nanoseconds(text).ok_or_else(|| {
-                format!("`{key}` is not a time: \"{text}\"; write one such as \"1.5ms\" (ns, us, ms, s)")
+            DeValue::String(text) => nanoseconds(text).map_err(|no| match no {
+                NoTime::Other => {
+                    format!("`{key}` is not a time: \"{text}\"; write one such as \"1.5ms\" (ns, us, ms, s)")
+                }
+                NoTime::TooFine => {
+                    format!("`{key}` is \"{text}\", which is finer than 1ns, the smallest unit: round it up")
+                }
+                NoTime::TooLong => {
+                    format!(
+                        "`{key}` is \"{text}\", longer than {} s, the longest time: lower it",
+                        u64::MAX / 1_000_000_000
+                    )
+                }
             }),
             other => {
                 Err(format!("`{key}` must be a time with its unit, such as \"1.5ms\", not {}", kind(other)))
@@ -300,24 +311,35 @@ fn integer(number: &DeInteger<'_>) -> Option<i64> {
     i64::from_str_radix(number.as_str(), number.radix()).ok()
 }
 
+/// Why a text is not a time.
+#[derive(Debug, PartialEq)]
+enum NoTime {
+    Other,
+    TooFine,
+    TooLong,
+}
+
 /// Exact: a fraction below a nanosecond is refused.
-fn nanoseconds(text: &str) -> Option<u64> {
+fn nanoseconds(text: &str) -> Result<u64, NoTime> {
     let text = text.trim();
-    let unit_at = text.find(|c: char| !(c.is_ascii_digit() || c == '.' || c == '_'))?;
+    let unit_at = text.find(|c: char| !(c.is_ascii_digit() || c == '.' || c == '_')).ok_or(NoTime::Other)?;
     let (number, unit) = (text[..unit_at].replace('_', ""), text[unit_at..].trim());
     let digits = match unit {
         "ns" => 0,
         "us" | "µs" | "μs" => 3,
         "ms" => 6,
         "s" => 9,
-        _ => return None,
+        _ => return Err(NoTime::Other),
     };
     let (whole, fraction) = number.split_once('.').unwrap_or((&number, ""));
     let fraction = fraction.trim_end_matches('0');
-    if whole.is_empty() || fraction.contains('.') || fraction.len() > digits {
-        return None;
+    if whole.is_empty() || fraction.contains('.') {
+        return Err(NoTime::Other);
     }
-    format!("{whole}{fraction:0<digits$}").parse().ok()
+    if fraction.len() > digits {
+        return Err(NoTime::TooFine);
+    }
+    format!("{whole}{fraction:0<digits$}").parse().map_err(|_| NoTime::TooLong)
 }
 
 fn kind(value: &DeValue<'_>) -> &'static str {
@@ -334,7 +356,7 @@ fn kind(value: &DeValue<'_>) -> &'static str {
 
 #[cfg(test)]
 mod tests {
-    use super::{Section, nanoseconds, read};
+    use super::{NoTime, Section, nanoseconds, read};
 
     #[test]
     fn numbers_are_read_in_their_radix_and_named_if_they_are_too_large() {
@@ -371,10 +393,28 @@ mod tests {
             ("2.50s", 2_500_000_000),
             ("0s", 0),
         ] {
-            assert_eq!(nanoseconds(text), Some(ns), "{text}");
+            assert_eq!(nanoseconds(text), Ok(ns), "{text}");
         }
-        for text in ["", "ms", "10", "1.5ns", "-1ms", "1.2.3ms", "5 min", "99999999999999999999s"] {
-            assert_eq!(nanoseconds(text), None, "{text}");
+        for text in ["", "ms", "10", "-1ms", "1.2.3ms", "5 min", "._ms"] {
+            assert_eq!(nanoseconds(text), Err(NoTime::Other), "{text}");
         }
+        for text in ["1.5ns", "0.0000000001s"] {
+            assert_eq!(nanoseconds(text), Err(NoTime::TooFine), "{text}");
+        }
+        for text in ["99999999999999999999s", "18446744073709551616ns"] {
+            assert_eq!(nanoseconds(text), Err(NoTime::TooLong), "{text}");
+        }
+        let said = |text: &str| {
+            let found = read(&format!("t = \"{text}\""), "`t = 1`", |mut root: Section<'_>| root.time("t"));
+            found.unwrap_err().to_string()
+        };
+        assert_eq!(
+            said("1.5ns"),
+            "1:5: `t` is \"1.5ns\", which is finer than 1ns, the smallest unit: round it up"
+        );
+        assert_eq!(
+            said("600000000000s"),
+            "1:5: `t` is \"600000000000s\", longer than 18446744073 s, the longest time: lower it"
+        );
     }
 }
