@@ -110,3 +110,15 @@ fn a_queue_that_no_topic_has_is_no_queue() {
         );
     }
 }
+
+#[test]
+fn no_lock_is_held_for_longer_than_the_callback_takes() {
+    let locked = |length: &str| {
+        with(
+            "wcet = \"3ms\"",
+            &format!("wcet = \"3ms\"\nlocks = [{{ resource = \"map\", length = \"{length}\" }}]"),
+        )
+    };
+    assert!(SystemFile::parse(&locked("3ms")).is_ok());
+    refuses(&locked("30ms"), 8, "callback `plan` holds lock `map` for 30 ms, longer than its wcet of 3 ms");
+}

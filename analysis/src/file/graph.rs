@@ -221,6 +221,15 @@ impl<'f> Graph<'f> {
                 ));
             }
         }
+        for (resource, length) in &callback.locks {
+            if let Some(wcet) = callback.wcet.as_ref().filter(|wcet| *length > wcet.value) {
+                let (length, wcet) = (*length as f64 / 1e6, wcet.value as f64 / 1e6);
+                problems.at(callback.at).add(format!(
+                    "callback `{name}` holds lock `{resource}` for {length} ms, longer than its wcet of {wcet} ms, of which that is a part: \
+                     lower its `length`, or raise the wcet"
+                ));
+            }
+        }
     }
 
     /// The shortest period of what triggers each callback, if it is known. A join waits for the slowest of its topics, unless it runs at the
