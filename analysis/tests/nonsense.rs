@@ -122,3 +122,16 @@ fn no_lock_is_held_for_longer_than_the_callback_takes() {
     assert!(SystemFile::parse(&locked("3ms")).is_ok());
     refuses(&locked("30ms"), 8, "callback `plan` holds lock `map` for 30 ms, longer than its wcet of 3 ms");
 }
+
+#[test]
+fn what_is_computed_of_a_topic_is_not_stated() {
+    let topic = |keys: &str| format!("{GOOD}[topics]\n\"/scan\" = {{ {keys} }}\n");
+    assert!(SystemFile::parse(&topic("depth = 3")).is_ok());
+    for key in ["jitter", "min_distance"] {
+        refuses(
+            &topic(&format!("{key} = \"1ms\"")),
+            16,
+            &format!("`{key}` of topic `/scan` needs a `period`"),
+        );
+    }
+}

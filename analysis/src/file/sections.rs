@@ -201,6 +201,13 @@ fn topic(name: String, mut section: Section<'_>) -> Topic {
             .problem(section.at)
             .add(format!("topic `{name}` is `express` without a `priority`: add one, such as \"real_time\""));
     }
+    for key in ["jitter", "min_distance"] {
+        if let Some(at) = section.at(key).filter(|_| !section.has("period")) {
+            section.problem(at).add(format!(
+                "`{key}` of topic `{name}` needs a `period`: without one a callback of the file publishes it, and it is computed"
+            ));
+        }
+    }
     let topic = Topic {
         type_name,
         depth,
