@@ -135,3 +135,12 @@ fn what_is_computed_of_a_topic_is_not_stated() {
         );
     }
 }
+
+#[test]
+fn a_kernel_without_a_limit_is_not_one_that_allows_nothing() {
+    let throttling = |runtime: &str| {
+        format!("{GOOD}[overheads]\nthrottling = {{ period = \"1s\", runtime = \"{runtime}\" }}\n")
+    };
+    assert!(SystemFile::parse(&throttling("950ms")).is_ok());
+    refuses(&throttling("0ms"), 16, "`throttling` has a `runtime` of 0, with which no real-time thread runs");
+}

@@ -48,6 +48,11 @@ fn costs(section: &mut Section<'_>) -> Costs {
     let (rclcpp, rclpy, demotion) = (time("rclcpp"), time("rclpy"), time("demotion"));
     let tick = pair(&mut table, "tick", ["period", "wcet"]);
     let throttling = pair(&mut table, "throttling", ["period", "runtime"]);
+    if let (Some((_, 0)), Some(at)) = (throttling, table.at("throttling")) {
+        table.problem(at).add(
+            "`throttling` has a `runtime` of 0, with which no real-time thread runs: leave it out if the kernel sets no limit (-1)",
+        );
+    }
     table.finish();
     Costs { context_switch, per_message, gateway, rclcpp, rclpy, demotion, tick, throttling }
 }
