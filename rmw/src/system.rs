@@ -100,14 +100,27 @@ impl Overheads {
     }
 }
 
+/// The callbacks of a file that ROS 2's executors run on this host, with the names of their topics as ROS 2 states them.
+fn of_ros(file: &LoadedSystem) -> impl Iterator<Item = CheckedCallback> {
+    let callbacks = file.callbacks().filter(|callback| callback.entry.client != Client::Tautline).cloned();
+    callbacks.map(|mut callback| {
+        let topics = callback.entry.topics.iter_mut().chain(&mut callback.entry.publishes);
+        topics.for_each(|topic| *topic = absolute(topic));
+        callback
+    })
+}
+
+/// A topic's name with its `/`, which a file may leave out; that of a service begins with what it is, such as `request:`.
+fn absolute(topic: &str) -> String {
+    if topic.starts_with('/') || topic.contains(':') { topic.to_owned() } else { format!("/{topic}") }
+}
+
 impl System {
     /// Loads the environment's system file. It is admitted together with what runs in the domain, which this process has joined.
     pub(crate) fn of_environment(domain: u32) -> Result<Self> {
         let path = std::env::var_os("TAUT_SYSTEM").filter(|path| !path.is_empty());
         let file = path.map(|path| Self::read(path.as_ref())).transpose()?.flatten();
-        let of_ros = |callback: &&CheckedCallback| callback.entry.client != Client::Tautline;
-        let callbacks: Vec<_> =
-            file.iter().flat_map(|file| file.callbacks().filter(of_ros)).cloned().collect();
+        let callbacks: Vec<_> = file.iter().flat_map(of_ros).collect();
         // Read also without a file: an unusable value is an error.
         let (realtime, admission) = (realtime_of_environment()?, admission_of_environment(true)?);
         let is_governed = file.is_some() && realtime == Realtime::Required;
@@ -256,7 +269,7 @@ impl System {
         let is_set = qos.reliability == Reliability::Reliable;
         let callback = &self.callbacks[index];
         let (name, capacity) = (&callback.entry.name, callback.capacity.map(|capacity| capacity.max(1)));
-        let stated = file.file.topics().iter().find(|of| of.name == topic);
+        let stated = file.file.topics().iter().find(|of| absolute(&of.name) == topic);
         let number = stated.and_then(|of| usize::try_from(of.depth?).ok());
         let wanted = number.or_else(|| capacity.filter(|_| stated.is_some_and(|of| of.is_auto)));
         if let Some(depth) = wanted.filter(|depth| is_set && *depth != qos.depth) {
@@ -468,4 +481,23 @@ fn plans(callbacks: &[CheckedCallback]) -> Vec<Option<Arc<ThreadPlan>>> {
         plans.push(Some(known.unwrap_or_else(|| Arc::new(ThreadPlan::of(callback, callbacks)))));
     }
     plans
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_topic_is_found_with_and_without_its_slash() {
+        let path = std::env::temp_dir().join(format!("tautline-rmw-topics-{}.toml", std::process::id()));
+        let text = "[hosts.robot]\ncores = 1\n[nodes.n]\nclient = \"rclcpp\"\n[topics]\nscan = { period = \"10ms\" }\n\
+                    \"/joy\" = { period = \"10ms\" }\n\"request:/reset\" = { period = \"1s\" }\n\
+                    [callbacks.drive]\ntopic = [\"scan\", \"/joy\", \"request:/reset\"]\nwcet = \"1ms\"\npublishes = \"front/path\"\n";
+        std::fs::write(&path, text).unwrap();
+        let file = LoadedSystem::read(&path, None).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        let drive = of_ros(&file).next().unwrap().entry;
+        assert_eq!(drive.topics, ["/scan", "/joy", "request:/reset"]);
+        assert_eq!(drive.publishes, ["/front/path"]);
+    }
 }
