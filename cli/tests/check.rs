@@ -60,6 +60,21 @@ fn files_for_programs_of_rclcpp_are_schedulable() {
     }
 }
 
+#[test]
+fn a_host_that_the_file_does_not_have_is_named() {
+    let admit = |host: &str, file: &str| {
+        let mut taut = Command::new(env!("CARGO_BIN_EXE_taut"));
+        let taut = taut.args(["check", file, "--admit", "--domain", "219"]).env("TAUT_HOST", host);
+        let out = taut.current_dir(systems()).output().unwrap();
+        (out.status.code(), text(&out.stderr))
+    };
+    let (code, said) = admit("robto", "paper.toml");
+    let expected = "paper.toml has no host 'robto': set TAUT_HOST to one of robot\n";
+    assert!(code == Some(2) && said.ends_with(expected), "{said}");
+    let (code, said) = admit("", "two-hosts.toml");
+    assert!(code == Some(2) && said.contains("which of two-hosts.toml's hosts is this?"), "{said}");
+}
+
 /// A shell and a script get no number for a response time that nothing bounds.
 #[test]
 fn callbacks_of_a_multi_threaded_executor_are_named_and_have_no_bound() {

@@ -30,9 +30,13 @@ pub struct Verdict<'a> {
 /// The name that the file gives to this host: `TAUT_HOST`, or the file's only host.
 pub fn this_host<'f>(file: &'f SystemFile, label: &str) -> Result<&'f str, String> {
     let wanted = tautline_system::environment("TAUT_HOST");
-    let refuse =
-        |hosts: Vec<&str>| format!("which of {label}'s hosts is this? TAUT_HOST=<{}>", hosts.join(", "));
-    file.host(wanted.as_deref()).map_err(refuse)
+    file.host(wanted.as_deref()).map_err(|hosts| {
+        let hosts = hosts.join(", ");
+        match &wanted {
+            Some(wanted) => format!("{label} has no host '{wanted}': set TAUT_HOST to one of {hosts}"),
+            None => format!("which of {label}'s hosts is this? TAUT_HOST=<{hosts}>"),
+        }
+    })
 }
 
 impl Admitted {
