@@ -299,7 +299,7 @@ impl ContextBuilder {
         logging::configure(&arguments);
         let system = system.map(|system| Arc::new(CurrentSystem::new(system)));
         if let (Some(system), Some(statistics)) = (&system, executor.statistics()) {
-            let reload = Reload::new(statistics.orders(), executor.settings(), Arc::clone(system));
+            let reload = Reload::new(domain, statistics.orders(), executor.settings(), Arc::clone(system));
             participant.attend(move || reload.serve_request());
         }
         let shared = ContextState {

@@ -48,14 +48,20 @@ impl CurrentSystem {
 /// Serves the orders of requesters in a process that has the file.
 #[derive(Debug)]
 pub(crate) struct Reload {
+    domain: u32,
     orders: Orders,
     settings: CallbackSettings,
     system: Arc<CurrentSystem>,
 }
 
 impl Reload {
-    pub(crate) fn new(orders: Orders, settings: CallbackSettings, system: Arc<CurrentSystem>) -> Reload {
-        Reload { orders, settings, system }
+    pub(crate) fn new(
+        domain: u32,
+        orders: Orders,
+        settings: CallbackSettings,
+        system: Arc<CurrentSystem>,
+    ) -> Reload {
+        Reload { domain, orders, settings, system }
     }
 
     /// Serves the next order, if there is one.
@@ -79,6 +85,10 @@ impl Reload {
         }
         if !order.is_final {
             return Ok(());
+        }
+        // A process that was stopped may find an order of one that has reported failure, and has ended.
+        if Gate::is_free(self.domain) {
+            return Err("whoever ordered it has ended".into());
         }
         let threads =
             |system: &LoadedSystem| system.threads().collect::<Result<Vec<CallbackOptions>, SystemError>>();

@@ -8,9 +8,13 @@ use std::time::Duration;
 
 use common::{File, realtime};
 use tautline::{
-    CallbackGroup, CallbackHandle, CallbackOptions, Context, Error, Node, Policy, SystemError, apply_system,
+    CallbackGroup, CallbackHandle, CallbackOptions, Context, Error, Node, Policy, Realtime, SystemError,
+    apply_system,
 };
+use tautline_analysis::file::SystemFile;
+use tautline_executor::{ForeignStatistics, StatisticsFile};
 use tautline_rt::{policy_of, set_policy_of};
+use tautline_system::{Admission, Gate};
 
 const DOMAIN: u32 = 98;
 
@@ -83,6 +87,36 @@ fn a_new_text_is_taken_up_by_what_runs_or_by_nobody() {
 
     file.write(&text(30, "2ms", ""));
     assert_eq!((apply(&file), now()), (Ok(1), first));
+}
+
+/// `taut apply --timeout` has ended while the process was stopped.
+#[test]
+fn an_order_whose_requester_has_ended_is_not_followed() {
+    let domain = DOMAIN + 2;
+    tautline_rt::domain::set_scope(&format!("apply-{}", std::process::id())).unwrap();
+    let file = File::new("late", &text(30, "2ms", ""));
+    let builder = Context::builder().domain(domain).realtime(Realtime::Off);
+    let context = builder.system(&file.0).build().unwrap();
+    let (_node, fast, _slow) = spawn(&context);
+    let new = text(30, "3ms", "");
+    file.write(&new);
+    let hash = SystemFile::parse(&new).unwrap().fingerprint();
+    let process = ForeignStatistics::list(&StatisticsFile::prefix(domain)).unwrap().remove(0);
+    let answered = |number: u64| {
+        process.order(number, hash, true).unwrap();
+        tautline_transport::call_all(domain).unwrap();
+        std::iter::repeat_with(|| process.answer(number).unwrap()).find_map(|answer| {
+            std::thread::yield_now();
+            answer
+        })
+    };
+    let refused = answered(1).unwrap().unwrap_err();
+    assert!(refused.contains("whoever ordered it has ended"), "{refused}");
+    assert_eq!(fast.stats().budget(), Some(Duration::from_millis(2)));
+    let gate = Gate::enter(domain, Admission::Check).unwrap();
+    assert_eq!(answered(2), Some(Ok(())));
+    drop(gate);
+    assert_eq!(fast.stats().budget(), Some(Duration::from_millis(3)));
 }
 
 #[test]

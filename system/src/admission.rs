@@ -245,6 +245,12 @@ impl Gate {
         }
         Ok(Gate(Some(folder)))
     }
+
+    /// Whether no process holds the gate of a domain.
+    pub fn is_free(domain: u32) -> bool {
+        File::open(shared_path(domain))
+            .is_ok_and(|folder| folder.try_lock().is_ok_and(|()| folder.unlock().is_ok()))
+    }
 }
 
 impl Drop for Gate {
