@@ -144,3 +144,15 @@ fn a_kernel_without_a_limit_is_not_one_that_allows_nothing() {
     assert!(SystemFile::parse(&throttling("950ms")).is_ok());
     refuses(&throttling("0ms"), 16, "`throttling` has a `runtime` of 0, with which no real-time thread runs");
 }
+
+/// rmw_tautline gave one thread the other's priority.
+#[test]
+fn a_callback_and_a_group_of_others_do_not_share_a_name() {
+    let text = |group: &str| {
+        let scan = with("wcet = \"2ms\"", &format!("wcet = \"2ms\"\ngroup = \"{group}\""));
+        format!("{scan}[groups.{group}]\npriority = 20\n")
+    };
+    // A group of one callback that is called as that.
+    assert!(SystemFile::parse(&text("scan")).is_ok() && SystemFile::parse(&text("main")).is_ok());
+    refuses(&text("plan"), 9, "the threads of callback `plan` and of group `plan` have one name: rename one");
+}

@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Threads and their priorities.
+use std::collections::HashSet;
+
 use super::declared::{Callback, Declared, Group, Policy};
 use super::places::Place;
 use super::problem::Collector;
@@ -107,7 +109,20 @@ pub(super) fn threads(file: &Declared, places: &[Option<Place>], problems: &Coll
         }
     }
     duplicates(file, &threads, problems);
+    names(file, places, &threads, problems);
     threads
+}
+
+/// Checks that no callback gives its thread the name of a group: a process knows its threads by their names.
+fn names(file: &Declared, places: &[Option<Place>], threads: &[Thread], problems: &Collector) {
+    let key = |thread: &Thread| (thread.name.clone(), places[thread.callbacks[0]].map(|place| place.host));
+    let groups: HashSet<_> = threads.iter().filter(|thread| thread.group.is_some()).map(key).collect();
+    for thread in threads.iter().filter(|thread| thread.group.is_none() && groups.contains(&key(thread))) {
+        let (name, at) = (&thread.name, file.callbacks[thread.callbacks[0]].at);
+        problems
+            .at(at)
+            .add(format!("the threads of callback `{name}` and of group `{name}` have one name: rename one"));
+    }
 }
 
 /// Checks that threads share a priority on a core only if both say so.
