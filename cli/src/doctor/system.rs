@@ -9,11 +9,12 @@ use crate::check::{read_file, this_host};
 use crate::verb::{Failure, Outcome};
 use indicatif::BinaryBytes;
 use std::path::Path;
+use std::sync::mpsc;
 use tautline::{CoreSet, Limits, Policy, topic_memory};
 use tautline_analysis::Reservation;
 use tautline_analysis::file::{CheckedCallback, CheckedSystem, CoreEntry, SystemFile};
 use tautline_definitions::find_schema;
-use tautline_rt::ThreadBuilder;
+use tautline_rt::{RtError, ThreadBuilder};
 use tautline_schema::{Layout, Size};
 use tautline_transport::Qos;
 
@@ -72,15 +73,10 @@ impl System {
         if !host.tree.is_here() {
             return Some(Err("SCHED_DEADLINE is tried on the host itself".into()));
         }
-        for callback in &reserved {
-            let Some(Reservation { runtime_ns, period_ns }) = callback.entry.reservation else { continue };
-            let probe = ThreadBuilder::new("rt-probe").policy(Policy::Deadline { runtime_ns, period_ns });
-            let probe = if callback.entry.floats { probe } else { probe.cores(CoreSet::one(callback.core)) };
-            if let Err(error) = probe.spawn(|| || ()).and_then(|thread| thread.join()) {
-                let value = format!("SCHED_DEADLINE for `{}` is refused (tried)", callback.entry.name);
-                let cost = Cost::Unknown("programs do not start in real time");
-                return Some(Ok(Finding::bad(value).costs(cost).fix(error.to_string())));
-            }
+        if let Err((name, error)) = try_all(&reserved) {
+            let value = format!("SCHED_DEADLINE for `{name}` is refused (tried)");
+            let cost = Cost::Unknown("programs do not start in real time");
+            return Some(Ok(Finding::bad(value).costs(cost).fix(error.to_string())));
         }
         Some(Ok(Finding::good(format!(
             "SCHED_DEADLINE is granted to all {} of the file (tried)",
@@ -208,6 +204,32 @@ impl System {
     }
 }
 
+/// Starts threads with these reservations, which the kernel grants only as far as all together leave something for others. Returns the first
+/// callback whose thread is refused, and why.
+fn try_all<'c>(reserved: &[&'c CheckedCallback]) -> Result<(), (&'c str, RtError)> {
+    let mut threads = Vec::new();
+    let mut tried = Ok(());
+    for callback in reserved {
+        let Some(Reservation { runtime_ns, period_ns }) = callback.entry.reservation else { continue };
+        let probe = ThreadBuilder::new("rt-probe").policy(Policy::Deadline { runtime_ns, period_ns });
+        let probe = if callback.entry.floats { probe } else { probe.cores(CoreSet::one(callback.core)) };
+        // The thread sleeps until all are there, or one is refused.
+        let (stop, stopped) = mpsc::channel::<()>();
+        match probe.spawn(move || move || drop(stopped.recv())) {
+            Ok(thread) => threads.push((stop, thread)),
+            Err(error) => {
+                tried = Err((callback.entry.name.as_str(), error));
+                break;
+            }
+        }
+    }
+    for (stop, thread) in threads {
+        drop(stop);
+        let _ = thread.join();
+    }
+    tried
+}
+
 fn body_size(topic: &str, type_name: &str) -> Option<Size> {
     let schema = find_schema(topic, &type_name.parse().ok()?, None).ok()?;
     Some(Layout::of(&schema).size)
@@ -251,6 +273,31 @@ impl KernelThread {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tautline_rt::permission::test_needs;
+
+    /// Each alone is granted where there is more than one core.
+    #[test]
+    fn reservations_that_the_kernel_does_not_grant_together_are_refused() {
+        let limit = std::fs::read_to_string("/proc/sys/kernel/sched_rt_runtime_us").unwrap_or_default();
+        let online = std::fs::read_to_string("/sys/devices/system/cpu/online").unwrap_or_default();
+        let cores = CoreSet::parse(&online).map_or(0, |cores| cores.iter().count());
+        let probe = ThreadBuilder::new("rt-probe")
+            .policy(Policy::Deadline { runtime_ns: 1_000_000, period_ns: 100_000_000 });
+        let granted = probe.spawn(|| || ()).and_then(|thread| thread.join());
+        if test_needs(granted).is_none() || limit.trim() == "-1" || cores < 2 {
+            return;
+        }
+        let mut text = format!("[hosts.h]\ncores = {cores}\n[nodes.n]\n");
+        for n in 0..cores {
+            text += &format!(
+                "[callbacks.c{n}]\nperiod = \"10ms\"\nwcet = \"1ms\"\ncore = \"any\"\n\
+                 reservation = {{ runtime = \"9.95ms\", period = \"10ms\" }}\n"
+            );
+        }
+        let checked = SystemFile::parse(&text).unwrap().check();
+        let all: Vec<_> = checked.callbacks.iter().collect();
+        assert!(try_all(&all[..1]).is_ok() && try_all(&all).is_err());
+    }
 
     #[test]
     fn threads_of_the_kernel_are_read() {
