@@ -1305,7 +1305,7 @@ fn a_system_file_is_used_or_what_is_wrong_with_it_is_said() {
     assert!(is_made && said.contains("has no callback of host `b`"), "{said}");
     let refused = [
         (&[file("/nowhere/system.toml")][..], "TAUT_SYSTEM: `/nowhere/system.toml` cannot be read"),
-        (&[file(path)], "has no host 'none': set TAUT_HOST, or `ContextBuilder::host`, to one of a, b"),
+        (&[file(path)], "has several hosts: set TAUT_HOST, or `ContextBuilder::host`, to one of a, b"),
         (
             &[file(path), ("TAUT_HOST", "a"), ("TAUT_REALTIME", "of")],
             "TAUT_REALTIME=of is not understood: it may be",

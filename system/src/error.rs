@@ -21,12 +21,16 @@ pub enum SystemError {
     #[error(transparent)]
     File(Box<dyn std::error::Error + Send + Sync>),
     /// It is not known which of the system file's hosts this is.
-    #[error("{} has no host '{wanted}': set TAUT_HOST, or `ContextBuilder::host`, to one of {known}", path.display())]
+    #[error(
+        "{} {}: set TAUT_HOST, or `ContextBuilder::host`, to one of {known}",
+        path.display(),
+        wanted.as_ref().map_or_else(|| "has several hosts".to_owned(), |wanted| format!("has no host '{wanted}'"))
+    )]
     Host {
         /// The file.
         path: PathBuf,
-        /// The requested host.
-        wanted: String,
+        /// The requested host, if one was.
+        wanted: Option<String>,
         /// The existing hosts.
         known: String,
     },

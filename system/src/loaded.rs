@@ -33,7 +33,7 @@ impl LoadedSystem {
     pub fn read(path: &Path, host: Option<&str>) -> Result<Self> {
         let file = SystemFile::read(path)?;
         let host = file.host(host).map(str::to_owned).map_err(|hosts| {
-            let wanted = host.unwrap_or("none").to_owned();
+            let wanted = host.map(str::to_owned);
             SystemError::Host { path: path.into(), wanted, known: hosts.join(", ") }
         })?;
         let core = file.cores().iter().find(|core| core.host == host);
