@@ -4,10 +4,10 @@
 use crate::counters::JoinCounters;
 use crate::source::Source;
 use crate::{JoinError, check_room, for_each_tuple};
-use futures::{Stream, StreamExt};
+use futures::stream::{Fuse, Stream, StreamExt};
 use std::pin::Pin;
 use std::sync::Arc;
-use std::task::{Context, Poll};
+use std::task::{Context, Poll, ready};
 
 /// How often one poll checks all inputs.
 const ROUNDS: usize = 4;
@@ -133,9 +133,8 @@ pub trait Slot {
 
 #[derive(Debug)]
 pub struct Input<S: Source> {
-    source: S,
+    source: Fuse<S>,
     newest: Option<S::Item>,
-    has_ended: bool,
 }
 
 // Nothing in it is pinned but the source, which may be moved.
@@ -143,23 +142,19 @@ impl<S: Source> Unpin for Input<S> {}
 
 impl<S: Source> Slot for Input<S> {
     fn poll_arrival(&mut self, context: &mut Context<'_>, note: &mut dyn FnMut(bool)) -> Poll<Option<()>> {
-        if self.has_ended {
-            return Poll::Ready(None);
-        }
-        let Poll::Ready(item) = self.source.poll_next_unpin(context) else { return Poll::Pending };
-        self.has_ended = item.is_none();
-        let Some(item) = item else { return Poll::Ready(None) };
+        let Some(item) = ready!(self.source.poll_next_unpin(context)) else { return Poll::Ready(None) };
         note(self.newest.replace(item).is_some());
         // Messages that arrived after it belong to the same job.
-        for _ in 0..self.source.room().depth {
-            let Some(newer) = self.source.try_next() else { break };
+        let source = self.source.get_mut();
+        for _ in 0..source.room().depth {
+            let Some(newer) = source.try_next() else { break };
             note(self.newest.replace(newer).is_some());
         }
         Poll::Ready(Some(()))
     }
 
     fn finish(&mut self) {
-        self.source.finish();
+        self.source.get_mut().finish();
     }
 
     fn is_empty(&self) -> bool {
@@ -167,7 +162,7 @@ impl<S: Source> Slot for Input<S> {
     }
 
     fn room(&self) -> (String, usize) {
-        (self.source.name(), self.source.room().held)
+        (self.source.get_ref().name(), self.source.get_ref().room().held)
     }
 }
 
@@ -182,7 +177,7 @@ macro_rules! tuple {
             const COUNT: usize = [$($place),*].len();
 
             fn into_slots(self) -> Self::Slots {
-                ($(Input { source: self.$place, newest: None, has_ended: false },)*)
+                ($(Input { source: self.$place.fuse(), newest: None },)*)
             }
 
             fn slot(slots: &mut Self::Slots, input: usize) -> &mut dyn Slot {

@@ -4,7 +4,7 @@
 use crate::counters::JoinCounters;
 use crate::source::{Room, Source};
 use crate::{JoinError, check_room, for_each_tuple};
-use futures::{Stream, StreamExt};
+use futures::stream::{Fuse, Stream, StreamExt};
 use std::ops::Deref;
 use std::pin::Pin;
 use std::sync::Arc;
@@ -146,11 +146,10 @@ pub trait Reader {
 
 #[derive(Debug)]
 pub struct Input<S: Source> {
-    source: S,
+    source: Fuse<S>,
     places: [Arc<Option<S::Item>>; KEPT],
     newest: usize,
     was_given: bool,
-    has_ended: bool,
 }
 
 // Nothing in it is pinned but the source, which may be moved.
@@ -158,13 +157,8 @@ impl<S: Source> Unpin for Input<S> {}
 
 impl<S: Source> Input<S> {
     fn new(source: S) -> Self {
-        Input {
-            source,
-            places: [(); KEPT].map(|()| Arc::new(None)),
-            newest: 0,
-            was_given: true,
-            has_ended: false,
-        }
+        let places = [(); KEPT].map(|()| Arc::new(None));
+        Input { source: source.fuse(), places, newest: 0, was_given: true }
     }
 
     fn read(&mut self) -> Option<Kept<S::Item>> {
@@ -201,8 +195,8 @@ impl<S: Source> Input<S> {
 
 impl<S: Source> Reader for Input<S> {
     fn catch_up(&mut self, input: usize, counters: &JoinCounters) {
-        for _ in 0..=self.source.room().depth {
-            let Some(item) = self.source.try_next() else { return };
+        for _ in 0..=self.source.get_ref().room().depth {
+            let Some(item) = self.source.get_mut().try_next() else { return };
             self.put(item, input, counters);
         }
     }
@@ -213,18 +207,12 @@ impl<S: Source> Reader for Input<S> {
         input: usize,
         counters: &JoinCounters,
     ) -> Poll<Option<bool>> {
-        if self.has_ended {
-            return Poll::Ready(None);
-        }
         let poll = self.source.poll_next_unpin(context);
-        poll.map(|item| {
-            self.has_ended = item.is_none();
-            item.map(|item| self.put(item, input, counters))
-        })
+        poll.map(|item| item.map(|item| self.put(item, input, counters)))
     }
 
     fn finish(&mut self) {
-        self.source.finish();
+        self.source.get_mut().finish();
     }
 
     fn is_empty(&self) -> bool {
@@ -232,7 +220,7 @@ impl<S: Source> Reader for Input<S> {
     }
 
     fn room(&self) -> (String, Room) {
-        (self.source.name(), self.source.room())
+        (self.source.get_ref().name(), self.source.get_ref().room())
     }
 }
 

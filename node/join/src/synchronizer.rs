@@ -2,10 +2,10 @@
 //! Messages of several streams whose stamps belong together.
 
 use crate::counters::JoinCounters;
-use crate::policy::{Arrival, Policy};
+use crate::policy::{Arrival, Policy, nanos};
 use crate::source::Stamped;
 use crate::{JoinError, check_room, for_each_tuple};
-use futures::{Stream, StreamExt};
+use futures::stream::{Fuse, Stream, StreamExt};
 use std::collections::VecDeque;
 use std::pin::Pin;
 use std::sync::Arc;
@@ -64,7 +64,7 @@ impl<P: Policy, S: SynchronizerInputs> Synchronizer<P, S> {
     /// If a message's stamp is earlier than its predecessor's by more than this, time has jumped back; if by less, the message is
     /// out of order. 1 s by default.
     pub fn time_jump(mut self, jump: Duration) -> Self {
-        self.time_jump_ns = i64::try_from(jump.as_nanos()).unwrap_or(i64::MAX);
+        self.time_jump_ns = nanos(jump);
         self
     }
 
@@ -201,10 +201,9 @@ pub trait Queue {
 /// A source, the message that has just arrived, and the waiting messages.
 #[derive(Debug)]
 pub struct Input<S: Stamped> {
-    source: S,
+    source: Fuse<S>,
     arrived: Option<S::Item>,
     waiting: VecDeque<S::Item>,
-    has_ended: bool,
 }
 
 // Nothing in it is pinned but the source, which may be moved.
@@ -212,15 +211,9 @@ impl<S: Stamped> Unpin for Input<S> {}
 
 impl<S: Stamped> Queue for Input<S> {
     fn poll_arrival(&mut self, context: &mut Context<'_>) -> Poll<Option<i64>> {
-        if self.has_ended {
-            return Poll::Ready(None);
-        }
-        let poll = self.source.poll_next_unpin(context);
-        poll.map(|item| {
-            self.has_ended = item.is_none();
-            let stamp = item.as_ref().map(|item| self.source.stamp_ns(item));
+        self.source.poll_next_unpin(context).map(|item| {
             self.arrived = item;
-            stamp
+            self.arrived.as_ref().map(|item| self.source.get_ref().stamp_ns(item))
         })
     }
 
@@ -239,7 +232,7 @@ impl<S: Stamped> Queue for Input<S> {
     }
 
     fn finish(&mut self) {
-        self.source.finish();
+        self.source.get_mut().finish();
     }
 
     fn is_empty(&self) -> bool {
@@ -247,7 +240,7 @@ impl<S: Stamped> Queue for Input<S> {
     }
 
     fn room(&self) -> (String, usize) {
-        (self.source.name(), self.source.room().held)
+        (self.source.get_ref().name(), self.source.get_ref().room().held)
     }
 }
 
@@ -263,10 +256,9 @@ macro_rules! tuple {
 
             fn into_queues(self, capacity: usize) -> Self::Queues {
                 ($(Input {
-                    source: self.$place,
+                    source: self.$place.fuse(),
                     arrived: None,
                     waiting: VecDeque::with_capacity(capacity),
-                    has_ended: false,
                 },)*)
             }
 
