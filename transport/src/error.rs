@@ -12,27 +12,17 @@ use tautline_msgs::cdr::{DecodeError, EncodeError};
 /// Why a participant, a publisher or a subscription could not be created. Each message says what to change.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say it")]
 pub enum TransportError {
     /// A file in /dev/shm could not be created or mapped.
     #[error("{} cannot be used: {source}{}", path.display(), fix(source))]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
+    File { path: PathBuf, source: io::Error },
     /// A file of another process was written by another version.
     #[error("{} is of another version of Tautline: use the same one in all processes of a domain; when none of them runs, the folder it is in may be removed", path.display())]
-    Version {
-        /// The file.
-        path: PathBuf,
-    },
+    Version { path: PathBuf },
     /// The content of another process's file cannot be read.
     #[error("{} is damaged: end its process, or remove the file", path.display())]
-    Damaged {
-        /// The file.
-        path: PathBuf,
-    },
+    Damaged { path: PathBuf },
     /// `TAUT_SCOPE` is not a valid scope.
     #[error(transparent)]
     Scope(#[from] tautline_rt::domain::ScopeError),
@@ -46,28 +36,15 @@ pub enum TransportError {
     #[error(
         "this process was forked from one that had joined domain {domain}, and owns nothing of what that made: create a context (participant) of its own after the fork"
     )]
-    Forked {
-        /// The domain.
-        domain: u32,
-    },
+    Forked { domain: u32 },
     /// The domain is full.
     #[error(
         "domain {domain} already has {limit} participants (contexts), its limit: put nodes together into fewer processes, or use another domain"
     )]
-    Members {
-        /// The domain.
-        domain: u32,
-        /// The limit.
-        limit: usize,
-    },
+    Members { domain: u32, limit: usize },
     /// There is no such domain.
     #[error("domain {domain} does not exist: domains go from 0 to {max}, as in ROS 2")]
-    DomainRange {
-        /// The domain.
-        domain: u32,
-        /// The greatest one.
-        max: u32,
-    },
+    DomainRange { domain: u32, max: u32 },
     /// The name is not a valid node name.
     #[error(
         "'{name}' cannot be a node's name: use letters, digits and '_' in a namespace that begins with '/'"
@@ -80,65 +57,41 @@ pub enum TransportError {
     #[error(
         "'{enclave}' cannot be an enclave: use '/', or letters, digits and '_' in a path that begins with '/'"
     )]
-    Enclave {
-        /// The text.
-        enclave: String,
-    },
+    Enclave { enclave: String },
     /// The name is not a valid service name.
     #[error("'{service}' cannot be a service: {reason}")]
-    ServiceName {
-        /// The name.
-        service: String,
-        /// The reason.
-        reason: &'static str,
-    },
+    ServiceName { service: String, reason: &'static str },
     /// The name is not a valid topic name.
     #[error("'{topic}' cannot be a topic name: {reason}")]
-    TopicName {
-        /// The name.
-        topic: String,
-        /// The reason.
-        reason: String,
-    },
+    TopicName { topic: String, reason: String },
     /// The type's name or hash is not valid.
     #[error("topic '{topic}': {reason}")]
-    TopicType {
-        /// The topic.
-        topic: String,
-        /// The reason.
-        reason: String,
-    },
+    TopicType { topic: String, reason: String },
     /// There is not enough shared memory for the samples in flight.
     #[error(
         "{}: {source}: it needs {bytes} bytes of /dev/shm for samples of {sample_bytes} bytes; make /dev/shm larger (mount -o remount,size=), or lower the depth, `Limits::held`, `Limits::loans`, `Limits::spare_bytes` or `Limits::message_bytes`",
         named(topic)
     )]
     Memory {
-        /// The topic.
         topic: String,
         /// Number of bytes that are needed.
         bytes: u64,
         /// Size of one sample.
         sample_bytes: usize,
-        /// The system's error.
         source: io::Error,
     },
     /// A limit out of range.
     #[error("{}: {limit} = {requested} is outside 1 to {max}", named(topic))]
     LimitRange {
-        /// The topic.
         topic: String,
         /// The name of the field.
         limit: &'static str,
-        /// The requested value.
         requested: usize,
-        /// The greatest value.
         max: usize,
     },
     /// A duration of zero, which cannot be met.
     #[error("topic '{topic}': QoS {setting} is zero, which cannot be met; omit it if there is none")]
     ZeroDuration {
-        /// The topic.
         topic: String,
         /// The field of [`Qos`](crate::Qos).
         setting: &'static str,

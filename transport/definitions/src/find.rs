@@ -11,26 +11,20 @@ use tautline_transport::{ClaimedSchema, SchemaStore, TopicType};
 /// No definition, or one that cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say it")]
 pub enum DefinitionError {
     /// The stored definition of a topic's type is not its definition.
     #[error(
         "the definition in {} cannot be used: {reason}; remove the file, then restart a process that has the type: it writes the file anew",
         path.display()
     )]
-    Stored {
-        /// The file.
-        path: PathBuf,
-        /// The error.
-        reason: String,
-    },
+    Stored { path: PathBuf, reason: String },
     /// No definition of a message type was found.
     #[error(
         "topic '{topic}': the definition of '{type_name}' was found neither beside the topic ({stored}), nor in AMENT_PREFIX_PATH, nor among the bundled packages: source the ROS 2 workspace that has it, or start a process first whose type has a definition, as those of tautline-build have"
     )]
     Unknown {
-        /// The topic.
         topic: String,
-        /// The requested type.
         type_name: String,
         /// What the topic itself provided.
         stored: String,

@@ -56,6 +56,7 @@ pub struct ArenaId(pub u64);
 /// Why a doorbell, or a part of it, is not available.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say it")]
 pub enum DoorbellError {
     /// The memory is not an arena of this version.
     #[error("its doorbell is of another version of Tautline: use the same one in all processes")]
@@ -64,26 +65,17 @@ pub enum DoorbellError {
     #[error(
         "this context already has {limit} subscriptions, publishers, timers and guard conditions, its limit; make a second Context for more"
     )]
-    Slots {
-        /// The limit.
-        limit: usize,
-    },
+    Slots { limit: usize },
     /// There is no memory for more slots.
     #[error(
         "no memory for more subscriptions, publishers, timers and guard conditions of this context: {source}; is /dev/shm full?"
     )]
-    Memory {
-        /// Why.
-        source: io::Error,
-    },
+    Memory { source: io::Error },
     /// All bells of callback threads are in use.
     #[error(
         "this context already has {limit} callback threads that publishers wake directly, its limit; let others be woken by the sampler, or make a second Context for more"
     )]
-    ThreadBells {
-        /// The limit.
-        limit: usize,
-    },
+    ThreadBells { limit: usize },
     /// The doorbell already has a sampler.
     #[error("this participant already has a sampler: use that one, or drop it first")]
     SecondSampler,

@@ -29,6 +29,7 @@ pub struct Instance {
 /// Why the lock of an instance was not taken.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say it")]
 pub enum InstanceError {
     /// Another process holds the lock.
     #[error(
@@ -38,27 +39,16 @@ pub enum InstanceError {
         holder(*.pid)
     )]
     Taken {
-        /// The instance.
         instance: Instance,
         /// Process id of the holder, if the file contains it.
         pid: Option<u32>,
     },
     /// The folder cannot be created.
     #[error("lock of the {}: {source}; check that /dev/shm exists and is writable", instance.name)]
-    Folder {
-        /// The instance.
-        instance: Instance,
-        /// The cause.
-        source: shm::ShmError,
-    },
+    Folder { instance: Instance, source: shm::ShmError },
     /// The file cannot be created or locked.
     #[error("lock of the {}: {source}", instance.name)]
-    File {
-        /// The instance.
-        instance: Instance,
-        /// The cause.
-        source: tautline_rt::LockFileError,
-    },
+    File { instance: Instance, source: tautline_rt::LockFileError },
 }
 
 fn holder(pid: Option<u32>) -> String {

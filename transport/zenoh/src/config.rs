@@ -56,37 +56,24 @@ pub struct SessionConfig {
 /// Why there is no configuration.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say it")]
 pub enum ConfigError {
     /// A file that cannot be read or is invalid.
     #[error("{} (from {origin}) is not a valid Zenoh configuration: {reason}", path.display())]
     File {
-        /// The file.
         path: PathBuf,
         /// The option or variable that names it.
         origin: &'static str,
-        /// Zenoh's error.
         reason: String,
     },
     /// A part of `ZENOH_CONFIG_OVERRIDE`.
     #[error(
         "ZENOH_CONFIG_OVERRIDE: '{part}' cannot be set: {reason}; write key/of/setting=json5 and ';' between settings"
     )]
-    Override {
-        /// The part.
-        part: String,
-        /// The reason.
-        reason: String,
-    },
+    Override { part: String, reason: String },
     /// An endpoint or another option that Zenoh rejects.
     #[error("{option} {value}: {reason}; write endpoints like tcp/192.168.1.2:7447")]
-    Option {
-        /// The option.
-        option: &'static str,
-        /// Its value.
-        value: String,
-        /// Zenoh's error.
-        reason: String,
-    },
+    Option { option: &'static str, value: String, reason: String },
 }
 
 impl Network {
