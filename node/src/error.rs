@@ -14,33 +14,21 @@ use tautline_transport::{
 /// Errors of setting up a node and of publishing. Each message names the object, the limit and the fix.
 #[derive(thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say it")]
 pub enum Error {
     /// A node's, namespace's or topic's name breaks ROS 2's rules.
     #[error("'{name}' is not a valid {kind}: {reason}")]
-    Name {
-        /// The name as given.
-        name: String,
-        /// The kind of name.
-        kind: &'static str,
-        /// The rule that it breaks.
-        reason: String,
-    },
+    Name { name: String, kind: &'static str, reason: String },
     /// An invalid remapping rule.
     #[error(
         "'{rule}' is not a remapping rule: {reason}; write from:=to, [node:]__node:=name or [node:]__ns:=/namespace"
     )]
-    Remap {
-        /// The rule as given.
-        rule: String,
-        /// The error.
-        reason: String,
-    },
+    Remap { rule: String, reason: String },
     /// An argument of the command line.
     #[error("'{argument}' is not understood: {reason}")]
     Argument {
         /// The argument, with its value.
         argument: String,
-        /// The error.
         reason: String,
     },
     /// A parameter was not declared, read or set, or a parameter file is not understood.
@@ -57,12 +45,7 @@ pub enum Error {
     ZeroPeriod,
     /// A timer whose period is so short that the sampler would have no time for anything else.
     #[error("a timer cannot have a period of {period:?}: the shortest is {min:?}")]
-    ShortPeriod {
-        /// The period.
-        period: Duration,
-        /// The shortest.
-        min: Duration,
-    },
+    ShortPeriod { period: Duration, min: Duration },
     /// A clock of another type was used as a ROS clock.
     #[error("the clock is not of type RosTime: only that one follows /clock and jumps")]
     ClockTypeNotRosTime,
@@ -70,34 +53,20 @@ pub enum Error {
     #[error(
         "{max} timers, sleeps and transform listeners are on this node's ROS clock already: use another node, or a wall timer"
     )]
-    ClockUsers {
-        /// The maximum.
-        max: usize,
-    },
+    ClockUsers { max: usize },
     /// A callback was requested by name, but the context was built without a system file.
     #[error(
         "callback '{name}' is requested by name, but this context has no system file: give it one with `ContextBuilder::system`"
     )]
-    NoSystem {
-        /// The callback.
-        name: String,
-    },
+    NoSystem { name: String },
     /// No process runs with this system file.
     #[error("no process of domain {domain} runs with {}: start one with it, or name the domain and the path that it was given (`taut report` lists them)", path.display())]
-    NobodyHas {
-        /// The file.
-        path: PathBuf,
-        /// The domain.
-        domain: u32,
-    },
+    NobodyHas { path: PathBuf, domain: u32 },
     /// A process did not apply the new text of its system file.
     #[error("{process} did not apply the new text of {}: {why}{}", path.display(), if *changed { "; processes before it did: correct that, and run it again" } else { "; nothing was changed" })]
     NotTakenUp {
-        /// The process.
         process: String,
-        /// The file.
         path: PathBuf,
-        /// Its reason.
         why: String,
         /// Whether other processes have already changed.
         changed: bool,
@@ -108,12 +77,7 @@ pub enum Error {
     TransformLimits(#[from] tautline_tf::LimitsError),
     /// A callback that waits for only one topic.
     #[error("callback '{name}' of {} does not wait for several topics: list them in `all`, in place of `topic`", path.display())]
-    NoJoin {
-        /// The callback.
-        name: String,
-        /// The file.
-        path: PathBuf,
-    },
+    NoJoin { name: String, path: PathBuf },
     /// A second thread tries to become the sampler.
     #[error("another thread spins this context already: a context has one sampler")]
     AlreadySpinning,
@@ -160,53 +124,31 @@ pub enum Error {
     Service(#[from] ServiceError),
     /// A response did not arrive within the time-out of the request.
     #[error("service '{service}': no response within {timeout:?}")]
-    ServiceTimeout {
-        /// The service.
-        service: String,
-        /// The time.
-        timeout: Duration,
-    },
+    ServiceTimeout { service: String, timeout: Duration },
     /// The action's server did not accept a goal.
     #[error("action '{action}': the server rejected the goal")]
-    GoalRejected {
-        /// The action.
-        action: String,
-    },
+    GoalRejected { action: String },
     /// The client has its maximum number of awaited goals. Nothing was sent.
     #[cfg(feature = "action_msgs")]
     #[error(
         "action '{action}': this client waits for {max} goals already: await or drop the result and the feedback of one, or make a second client"
     )]
-    TooManyGoals {
-        /// The action.
-        action: String,
-        /// The maximum.
-        max: usize,
-    },
+    TooManyGoals { action: String, max: usize },
     /// A goal was accepted, but its result cannot be requested.
     #[cfg(feature = "action_msgs")]
     #[error(
         "action '{action}': the goal was accepted, but its result cannot be requested ({source}); {fate}"
     )]
     GoalUnheard {
-        /// The action.
         action: String,
         /// What happens to the goal.
         fate: String,
-        /// The reason.
         source: Box<Error>,
     },
     /// The operation is not possible in the goal's state.
     #[cfg(feature = "action_msgs")]
     #[error("action '{action}': goal {goal} is {status}: this is no longer possible, or not yet")]
-    Goal {
-        /// The action.
-        action: String,
-        /// The goal's id.
-        goal: String,
-        /// The state.
-        status: crate::action::GoalStatus,
-    },
+    Goal { action: String, goal: String, status: crate::action::GoalStatus },
     /// The action's server rejected the cancellation and continues with the goal.
     #[error("the action's server rejected the request to cancel the goal")]
     GoalCancelRejected,

@@ -6,93 +6,53 @@ use std::path::PathBuf;
 /// Why a parameter was not declared, read or set.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say it")]
 pub enum ParameterError {
     /// It was neither declared nor given a value.
     #[error("parameter '{name}' is not declared: declare it with `Node::declare_parameter`")]
-    NotDeclared {
-        /// The parameter.
-        name: String,
-    },
+    NotDeclared { name: String },
     /// It is already declared.
     #[error(
         "parameter '{name}' is declared already: declare it once, and use `Node::parameter` for further readers"
     )]
-    AlreadyDeclared {
-        /// The parameter.
-        name: String,
-    },
+    AlreadyDeclared { name: String },
     /// An invalid name.
     #[error("'{name}' is not a parameter's name: {reason}")]
-    InvalidName {
-        /// The name.
-        name: String,
-        /// The rule that it breaks.
-        reason: &'static str,
-    },
+    InvalidName { name: String, reason: &'static str },
     /// The value has another type than the parameter.
     #[error("parameter '{name}' is of type {expected}, but {value} is of type {actual}{}", .hint.map(|hint| format!(": {hint}")).unwrap_or_default())]
     WrongType {
-        /// The parameter.
         name: String,
-        /// Its type.
         expected: &'static str,
-        /// The value's type.
         actual: &'static str,
-        /// The value.
         value: ParameterValue,
         /// A hint what to write instead.
         hint: Option<&'static str>,
     },
     /// A text that is not a valid YAML value.
     #[error("'{text}' is not a parameter's value: {reason}")]
-    InvalidValue {
-        /// The text.
-        text: String,
-        /// The error.
-        reason: String,
-    },
+    InvalidValue { text: String, reason: String },
     /// A message contains an unknown type.
     #[error("parameter '{name}': {source}")]
     UnknownType {
-        /// The parameter.
         name: String,
         /// The type.
         source: super::UnknownParameterType,
     },
     /// A number does not fit the type of the struct's field.
     #[error("parameter '{name}': {value} does not fit: {reason}")]
-    Conversion {
-        /// The parameter.
-        name: String,
-        /// The value.
-        value: ParameterValue,
-        /// Why.
-        reason: String,
-    },
+    Conversion { name: String, value: ParameterValue, reason: String },
     /// The value is outside of the range of the descriptor.
     #[error("parameter '{name}': {value} is not in {range}")]
-    OutOfRange {
-        /// The parameter.
-        name: String,
-        /// The value.
-        value: ParameterValue,
-        /// Its range.
-        range: String,
-    },
+    OutOfRange { name: String, value: ParameterValue, range: String },
     /// It can be set only when it is declared.
     #[error("parameter '{name}' is read-only: give its value when the program starts (-p {name}:=VALUE)")]
-    ReadOnly {
-        /// The parameter.
-        name: String,
-    },
+    ReadOnly { name: String },
     /// A parameter of one type cannot be undeclared.
     #[error(
         "parameter '{name}' cannot be undeclared: it was declared with one type; declare it with `ParameterDescriptor::dynamic_typing`"
     )]
-    StaticType {
-        /// The parameter.
-        name: String,
-    },
+    StaticType { name: String },
     /// A callback refused the values.
     #[error("refused: {reason}")]
     Rejected {
@@ -103,14 +63,10 @@ pub enum ParameterError {
     #[error(
         "parameter '{name}' cannot be changed by a callback that checks changes: do it after the change, when a reader has `changed`"
     )]
-    InCallback {
-        /// The parameter.
-        name: String,
-    },
+    InCallback { name: String },
     /// A parameter file that cannot be read or understood.
     #[error("parameter file {}: {reason}", path.display())]
     File {
-        /// The file.
         path: PathBuf,
         /// The error, with its line.
         reason: String,

@@ -50,6 +50,7 @@ impl fmt::Debug for NamedFrame {
 /// Why there is no transform from `source` to `target`. The kinds are those of tf2, and the additional ones
 /// of a bounded buffer.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the names of the fields say it")]
 pub enum LookupError {
     /// It is not a valid frame name. tf2: `InvalidArgumentException`.
     #[error(
@@ -64,34 +65,21 @@ pub enum LookupError {
     #[error(
         "frame '{frame}' does not exist: no transform has named it as parent or child. Check its spelling, or wait for it (Buffer::wait_for)"
     )]
-    Lookup {
-        /// The frame.
-        frame: FrameName,
-    },
+    Lookup { frame: FrameName },
     /// Both frames exist, but in two trees. tf2: `ConnectivityException`.
     #[error(
         "no transform from '{source_frame}' to '{target}': they are not in one tree. See Buffer::frames for the parents, and who should broadcast the missing one"
     )]
-    Connectivity {
-        /// The target frame.
-        target: NamedFrame,
-        /// The source frame.
-        source_frame: NamedFrame,
-    },
+    Connectivity { target: NamedFrame, source_frame: NamedFrame },
     /// A frame on the path has no samples around the requested time. tf2: `ExtrapolationException`.
     #[error("no transform from '{source_frame}' to '{target}' at {}: {}", Seconds(*.asked_ns), Span(.frame, *.asked_ns, *.oldest_ns, *.newest_ns))]
     Extrapolation {
-        /// The target frame.
         target: NamedFrame,
-        /// The source frame.
         source_frame: NamedFrame,
         /// The frame on the path.
         frame: NamedFrame,
-        /// The requested time.
         asked_ns: i64,
-        /// Its oldest stamp.
         oldest_ns: i64,
-        /// Its newest stamp.
         newest_ns: i64,
     },
     /// A frame is its own ancestor.
@@ -99,9 +87,7 @@ pub enum LookupError {
         "no transform from '{source_frame}' to '{target}': the tree has a cycle through '{frame}'. Two broadcasters disagree about a frame's parent: see Buffer::frames"
     )]
     Cycle {
-        /// The target frame.
         target: NamedFrame,
-        /// The source frame.
         source_frame: NamedFrame,
         /// A frame of the cycle.
         frame: NamedFrame,
@@ -110,22 +96,12 @@ pub enum LookupError {
     #[error(
         "no transform from '{source_frame}' to '{target}': more than {MAX_DEPTH} transforms to the root (MAX_DEPTH). Join fixed frames into one static transform"
     )]
-    TooDeep {
-        /// The target frame.
-        target: NamedFrame,
-        /// The source frame.
-        source_frame: NamedFrame,
-    },
+    TooDeep { target: NamedFrame, source_frame: NamedFrame },
     /// Each of several lookups was interrupted by whole rings of new samples, or by a `clear`.
     #[error(
         "no transform from '{source_frame}' to '{target}': it was overwritten while being read. Raise Limits::samples or the reader's priority, or ask again"
     )]
-    Overtaken {
-        /// The target frame.
-        target: NamedFrame,
-        /// The source frame.
-        source_frame: NamedFrame,
-    },
+    Overtaken { target: NamedFrame, source_frame: NamedFrame },
 }
 
 /// Why a wait ended without a transform.
@@ -144,6 +120,7 @@ pub enum WaitError {
 
 /// Why a transform was not accepted. Only a counter has changed.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the names of the fields say it")]
 pub enum SetError {
     /// It is not a valid frame name (TF_NO_FRAME_ID, TF_NO_CHILD_FRAME_ID).
     #[error(
@@ -156,48 +133,29 @@ pub enum SetError {
     },
     /// Parent and child are the same (TF_SELF_TRANSFORM).
     #[error("frame '{frame}' cannot be its own parent: name another parent or child")]
-    SelfTransform {
-        /// The frame.
-        frame: FrameName,
-    },
+    SelfTransform { frame: FrameName },
     /// A number is infinite or NaN (TF_NAN_INPUT).
     #[error("the transform of '{child}' has a number that is not finite: check what computes it")]
-    NotFinite {
-        /// The frame.
-        child: FrameName,
-    },
+    NotFinite { child: FrameName },
     /// The rotation's length is not 1 (TF_DENORMALIZED_QUATERNION).
     #[error(
         "the rotation of '{child}' has the squared length {squared_length}, which is off 1 by 0.01 or more: normalise it"
     )]
-    Denormalized {
-        /// The frame.
-        child: FrameName,
-        /// The squared length.
-        squared_length: f64,
-    },
+    Denormalized { child: FrameName, squared_length: f64 },
     /// It is older than the kept samples (TF_OLD_DATA).
     #[error("the transform of '{child}' at {} is too old: only samples after {} are kept. Send it sooner, or raise Limits::cache_time and Limits::samples; after time was set back, call Writer::clear", Seconds(*.stamp_ns), Seconds(*.above_ns))]
     Old {
-        /// The frame.
         child: FrameName,
-        /// Its stamp.
         stamp_ns: i64,
         /// Only later stamps than this one are accepted.
         above_ns: i64,
     },
     /// There is already a sample with this stamp (TF_REPEATED_DATA).
     #[error("there is a transform of '{child}' at {} already: the first one stays. Let one broadcaster send it, once per stamp", Seconds(*.stamp_ns))]
-    Repeated {
-        /// The frame.
-        child: FrameName,
-        /// Its stamp.
-        stamp_ns: i64,
-    },
+    Repeated { child: FrameName, stamp_ns: i64 },
     /// There is no room for another name.
     #[error("no room for frame '{frame}' beside {frames} others: raise Limits::frames")]
     FramesFull {
-        /// The frame.
         frame: FrameName,
         /// The limit.
         frames: usize,
