@@ -19,7 +19,7 @@ use tautline_executor::CallbackOptions;
 use tautline_msgs::{Action, GoalId, Service};
 use tautline_ros_msgs::action_msgs::msg::GoalStatusArray;
 use tautline_ros_msgs::action_msgs::srv::CancelGoal;
-use tautline_rt::{PiGuard, PiMutex};
+use tautline_rt::PiMutex;
 use tautline_transport::{Decode, MAX_PENDING_REQUESTS, ServiceCodec, ServiceError, SubscriptionCounters};
 use uuid::Uuid;
 
@@ -170,12 +170,8 @@ impl<P: ActionCodec> ActionClientState<P> {
         node.spawn_for_itself(options, listen).map(drop)
     }
 
-    fn goals(&self) -> PiGuard<'_, Vec<Goal<P>>> {
-        self.goals.lock()
-    }
-
     fn pass_on(&self, id: GoalId, feedback: P::Feedback) {
-        let mut goals = self.goals();
+        let mut goals = self.goals.lock();
         let Some(goal) = goals.iter_mut().find(|goal| goal.id == id) else { return };
         let Some(sender) = &mut goal.feedback else { return };
         // Other errors: the stream was dropped.
@@ -191,7 +187,7 @@ impl<P: ActionCodec> ActionClientState<P> {
     }
 
     fn note(&self, message: &GoalStatusArray) {
-        let mut goals = self.goals();
+        let mut goals = self.goals.lock();
         for message in &message.status_list {
             // An old message must not change a goal that has ended.
             let goal = goals.iter_mut().find(|goal| goal.id == message.goal_info.goal_id.uuid);
@@ -203,7 +199,7 @@ impl<P: ActionCodec> ActionClientState<P> {
 
     /// Ends the feedback stream of this goal.
     fn end(&self, id: GoalId) {
-        if let Some(goal) = self.goals().iter_mut().find(|goal| goal.id == id) {
+        if let Some(goal) = self.goals.lock().iter_mut().find(|goal| goal.id == id) {
             goal.feedback = None;
         }
     }
@@ -220,7 +216,7 @@ impl<P: ActionCodec> ActionClientState<P> {
         let goal_sent =
             Goal { id, status: status.clone(), feedback, is_warned: false, has_place: true, held: 1 };
         {
-            let mut goals = self.goals();
+            let mut goals = self.goals.lock();
             if goals.iter().filter(|goal| goal.has_place).count() >= MAX_PENDING_REQUESTS {
                 return Err(Error::TooManyGoals { action: self.name.clone(), max: MAX_PENDING_REQUESTS });
             }
@@ -280,7 +276,7 @@ struct Listening<P: ActionCodec>(Weak<ActionClientState<P>>);
 impl<P: ActionCodec> Drop for Listening<P> {
     fn drop(&mut self) {
         if let Some(shared) = self.0.upgrade() {
-            shared.goals().iter_mut().for_each(|goal| goal.feedback = None);
+            shared.goals.lock().iter_mut().for_each(|goal| goal.feedback = None);
         }
     }
 }
@@ -316,7 +312,7 @@ impl<P: ActionCodec> GoalHandleState<P> {
             });
             let result = result.await;
             if let Some(shared) = weak.upgrade()
-                && let Some(goal) = shared.goals().iter_mut().find(|goal| goal.id == id)
+                && let Some(goal) = shared.goals.lock().iter_mut().find(|goal| goal.id == id)
             {
                 goal.has_place = false;
                 if let Ok((status, _)) = &result {
@@ -351,7 +347,7 @@ impl<P: ActionCodec> GoalHandleState<P> {
 
 impl<P: ActionCodec> Clone for GoalHandleState<P> {
     fn clone(&self) -> Self {
-        if let Some(goal) = self.shared.goals().iter_mut().find(|goal| goal.id == self.id) {
+        if let Some(goal) = self.shared.goals.lock().iter_mut().find(|goal| goal.id == self.id) {
             goal.held += 1;
         }
         GoalHandleState { id: self.id, status: self.status.clone(), shared: self.shared.clone() }
@@ -360,7 +356,7 @@ impl<P: ActionCodec> Clone for GoalHandleState<P> {
 
 impl<P: ActionCodec> Drop for GoalHandleState<P> {
     fn drop(&mut self) {
-        let mut goals = self.shared.goals();
+        let mut goals = self.shared.goals.lock();
         if let Some(index) = goals.iter().position(|goal| goal.id == self.id) {
             goals[index].held -= 1;
             if goals[index].held == 0 {
@@ -385,7 +381,7 @@ impl<P: ActionCodec> Drop for GoalInterest<P> {
         let response = self.response.lock().take();
         drop(response);
         self.abort.abort();
-        if let Some(goal) = self.held.shared.goals().iter_mut().find(|goal| goal.id == self.held.id) {
+        if let Some(goal) = self.held.shared.goals.lock().iter_mut().find(|goal| goal.id == self.held.id) {
             goal.has_place = false;
         }
     }
@@ -538,7 +534,7 @@ impl<T: ActionCodec> Clone for ActionClientGoal<T> {
 }
 
 tautline_rt::debug_fields!(
-    [T: ActionCodec] ActionClient<T>, |this| action = this.shared.name, goals = this.shared.goals().len()
+    [T: ActionCodec] ActionClient<T>, |this| action = this.shared.name, goals = this.shared.goals.lock().len()
 );
 
 tautline_rt::debug_fields!([T: ActionCodec] ActionClientGoal<T>, |this| uuid = this.uuid);

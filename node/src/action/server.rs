@@ -18,8 +18,8 @@ use tautline_msgs::cdr::Endian;
 use tautline_msgs::{Action, GoalId, Message, Service};
 use tautline_ros_msgs::action_msgs::msg::{GoalInfo, GoalStatus as StatusMsg, GoalStatusArray};
 use tautline_ros_msgs::action_msgs::srv::CancelGoal;
+use tautline_rt::PiMutex;
 use tautline_rt::clock::monotonic_ns;
-use tautline_rt::{PiGuard, PiMutex};
 use tautline_sampler::GuardCondition;
 use tautline_transport::Publisher;
 use uuid::Uuid;
@@ -93,13 +93,9 @@ struct Cancels {
 }
 
 impl<T: Action> Server<T> {
-    fn state(&self) -> PiGuard<'_, ServerState<T>> {
-        self.state.lock()
-    }
-
     /// Applies an event to a goal and publishes the new status.
     fn apply(&self, id: GoalId, event: GoalEvent) -> Result<GoalStatus> {
-        let happened = self.state().goals.apply(id, event);
+        let happened = self.state.lock().goals.apply(id, event);
         let status = happened.map_err(|status| self.goal_error(id, status))?;
         self.publish_status();
         Ok(status)
@@ -110,14 +106,14 @@ impl<T: Action> Server<T> {
     }
 
     fn finish(&self, id: GoalId, event: GoalEvent, result: T::Result) -> Result<()> {
-        let before = self.state().goals.status(id);
+        let before = self.state.lock().goals.status(id);
         // Whatever happens meanwhile, the event leads to this status, or cannot happen.
         let status = before.after(event).ok_or_else(|| self.goal_error(id, before))?;
         let response = T::make_result_response_msg(status.to_rcl(), result);
         let mut body = vec![0; response.cdr_len()];
         response.encode(&mut body).map_err(|error| Error::Publish(error.into()))?;
         let waiting = {
-            let mut state = self.state();
+            let mut state = self.state.lock();
             state.goals.apply(id, event).map_err(|status| self.goal_error(id, status))?;
             state.cancels.retain(|cancels| cancels.goal != id);
             state.goals.finish(id, body.clone(), monotonic_ns())
@@ -133,7 +129,7 @@ impl<T: Action> Server<T> {
     fn answer(&self, request: ServiceRequest<T::GetResult>) {
         let (message, reply) = request.into_parts();
         let id = T::destructure_result_request_msg(message);
-        let asked = self.state().goals.request_result(id, reply, Reply::is_awaited);
+        let asked = self.state.lock().goals.request_result(id, reply, Reply::is_awaited);
         match asked {
             ResultOf::Later => {}
             ResultOf::Known(reply, body) => respond::<T>(reply, &body),
@@ -164,7 +160,7 @@ impl<T: Action> Server<T> {
             goal_info: goal_info(id, accepted),
             status: status.to_rcl(),
         };
-        let message = GoalStatusArray { status_list: self.state().goals.all().map(status).collect() };
+        let message = GoalStatusArray { status_list: self.state.lock().goals.all().map(status).collect() };
         if let Err(error) = publisher.publish(&message) {
             tracing::warn!("{}: {error}", publisher.topic());
         }
@@ -251,7 +247,7 @@ pub(super) fn create<T: Action>(
                 () = cancels.select_next_some() => {}
                 request = get_result.select_next_some() => server.answer(request),
                 _ = expiry.select_next_some() => {
-                    let any = server.state().goals.expire(monotonic_ns());
+                    let any = server.state.lock().goals.expire(monotonic_ns());
                     if any {
                         server.publish_status();
                     }
@@ -296,7 +292,7 @@ fn ask_to_cancel<T: Action>(
     request: ServiceRequest<CancelGoal::Service>,
 ) -> impl Future<Output = ()> + use<T> {
     let info = &request.message.goal_info;
-    let mut state = server.state();
+    let mut state = server.state.lock();
     let state = &mut *state;
     let (goals, code) = state.goals.to_cancel(info.goal_id.uuid, (info.stamp.sec, info.stamp.nanosec));
     let asked = goals.iter().filter_map(|&id| {
@@ -418,7 +414,7 @@ impl<T: Action> ActionServerGoalRequest<T> {
         // Room for one undecided request, and for one that was decided on meanwhile.
         let (requests, cancel_requests) = mpsc::channel(1);
         let (end, ended) = oneshot::channel();
-        let mut state = server.state();
+        let mut state = server.state.lock();
         let status = state.goals.accept(id, stamp).map_err(|status| server.goal_error(id, status))?;
         state.cancels.push(Cancels { goal: id, requests, decision: None, _end: end, ended: ended.shared() });
         drop(state);

@@ -10,7 +10,7 @@ use std::hash::Hash;
 use std::sync::Arc;
 use std::task::{Context, Poll, Waker};
 use std::time::{Duration, Instant};
-use tautline_rt::{PiGuard, PiMutex};
+use tautline_rt::PiMutex;
 use tautline_transport::{Gid, MessageInfo, RawSample, RawSubscription};
 
 /// Forwards samples. Called by the relay's thread.
@@ -215,12 +215,6 @@ pub(crate) enum Served {
     Some,
 }
 
-impl Sources {
-    fn are_passed_over(&self) -> PiGuard<'_, HashSet<Gid>> {
-        self.passed_over.lock()
-    }
-}
-
 impl<O: Egress> TopicRoute<O> {
     pub(crate) fn new(subscription: Box<RawSubscription>, topic: O::Topic, thread: Waker) -> Self {
         let (senders, ended, early) = Default::default();
@@ -304,7 +298,7 @@ impl<O: Egress> TopicRoute<O> {
         let publisher = sample.info().publisher_gid;
         match self.senders.get_mut(&publisher) {
             Some(sender) => egress.pass(&mut self.topic, sender, OutboundSample::Now(sample)),
-            None if sources.are_passed_over().contains(&publisher) => {}
+            None if sources.passed_over.lock().contains(&publisher) => {}
             None => self.keep_early(&sample),
         }
     }
@@ -367,7 +361,7 @@ impl<O: Egress> TopicRoute<O> {
     pub(crate) fn refresh(&mut self, sources: &Sources) {
         let (topic, bytes) = (&self.topic, &mut self.early_bytes);
         if !self.early.is_empty() {
-            let passed_over = sources.are_passed_over();
+            let passed_over = sources.passed_over.lock();
             self.early.retain(|early| {
                 let is_passed_over = passed_over.contains(&early.info.publisher_gid);
                 let is_late = early.since.elapsed() >= O::EARLY.time;

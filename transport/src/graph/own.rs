@@ -14,13 +14,14 @@ use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock, Weak};
 use tautline_doorbell::Slot;
-use tautline_rt::{PiGuard, PiMutex};
+use tautline_rt::PiMutex;
 
 pub(crate) struct OwnRecord {
     domain: Arc<Domain>,
     memory: Arc<OwnMemory>,
     /// This participant's index among the members.
     place: OnceLock<usize>,
+    /// Locked by set-up and tear-down, never by publish or take.
     state: PiMutex<OwnRecordState>,
 }
 
@@ -59,11 +60,6 @@ impl OwnRecord {
         self.place.get().copied()
     }
 
-    /// Locks the state. The lock is taken by set-up and tear-down, never by publish or take.
-    fn state(&self) -> PiGuard<'_, OwnRecordState> {
-        self.state.lock()
-    }
-
     fn changed(&self) {
         if let Some(place) = self.place.get() {
             self.domain.changed(*place);
@@ -84,14 +80,14 @@ impl OwnRecord {
 
     /// A number for a new port, which is part of its gid. Other processes do not see the port yet.
     pub(crate) fn number(&self) -> u64 {
-        self.state().log.number()
+        self.state.lock().log.number()
     }
 
     /// Makes a port known to others.
     pub(crate) fn add_port(&self, number: u64, port: &PortRecord) -> Result<(), TransportError> {
         let hash = hash_of(&port.topic);
         let entry = log::LogEntry { kind: EntryKind::Port, number, hash, body: to_body(port) };
-        self.state().log.add(&entry).map_err(self.failed())?;
+        self.state.lock().log.add(&entry).map_err(self.failed())?;
         self.changed();
         Ok(())
     }
@@ -108,7 +104,7 @@ impl OwnRecord {
 
     /// Removes the entry of an ended publisher, whose samples are no longer needed, if the record has it.
     pub(crate) fn forget(&self, number: u64) {
-        let is_said = self.state().log.has(number);
+        let is_said = self.state.lock().log.has(number);
         if is_said {
             self.remove(number);
         }
@@ -118,7 +114,7 @@ impl OwnRecord {
         if self.domain.check_process().is_err() {
             return;
         }
-        if let Err(error) = change(&mut self.state().log) {
+        if let Err(error) = change(&mut self.state.lock().log) {
             tracing::warn!("others see what has ended, until something else changes: {error}");
         }
         self.changed();
@@ -136,7 +132,7 @@ impl OwnRecord {
             return Err(TransportError::Enclave { enclave: enclave.to_owned() });
         }
         let number = {
-            let mut state = self.state();
+            let mut state = self.state.lock();
             let number = state.log.number();
             let hash = hash_of(&node.full_name());
             let body = to_body(&NodeRecord { name: node.clone(), enclave: enclave.to_owned(), origin: None });
@@ -151,12 +147,12 @@ impl OwnRecord {
 
     /// The number of nodes in the record whose name has this hash.
     pub(crate) fn nodes(&self, hash: u64) -> usize {
-        self.state().log.count(EntryKind::Node, hash)
+        self.state.lock().log.count(EntryKind::Node, hash)
     }
 
     /// Whether this participant announces, or has announced, entities of other hosts.
     pub(crate) fn is_relay(&self) -> bool {
-        self.state().remote.marker.is_some()
+        self.state.lock().remote.marker.is_some()
     }
 
     /// Replaces the announced entities of other hosts; entries that are there already stay as they are. Adds the hashes of the topics
@@ -166,7 +162,7 @@ impl OwnRecord {
         remote: &RemoteGraph,
         topics: &mut BTreeSet<u64>,
     ) -> Result<(), TransportError> {
-        let mut state = self.state();
+        let mut state = self.state.lock();
         let changed = state.set_remote(remote, topics).map_err(self.failed());
         drop(state);
         // Only then: a relay that calls this after each change of the graph would otherwise never stop.
@@ -279,7 +275,7 @@ pub(crate) struct NodeEntry {
 
 impl NodeEntry {
     pub(crate) fn adopt(&self, slot: &Arc<Slot>) {
-        let mut slots = self.slots();
+        let mut slots = self.slots.lock();
         if self.has_ended() {
             return slot.retire();
         }
@@ -291,7 +287,7 @@ impl NodeEntry {
 
     pub(crate) fn end(&self) {
         let slots = {
-            let mut slots = self.slots();
+            let mut slots = self.slots.lock();
             // Stored before the wakes, so that woken tasks see it.
             self.has_ended.store(true, Ordering::Release);
             std::mem::take(&mut *slots)
@@ -301,10 +297,6 @@ impl NodeEntry {
 
     pub(crate) fn has_ended(&self) -> bool {
         self.has_ended.load(Ordering::Acquire)
-    }
-
-    fn slots(&self) -> PiGuard<'_, Vec<Weak<Slot>>> {
-        self.slots.lock()
     }
 }
 

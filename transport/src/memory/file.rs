@@ -19,9 +19,9 @@ use std::sync::{Arc, Once, Weak};
 use tautline_doorbell::{
     Arena, ArenaId, Doorbell, DoorbellError, MAIN_BYTES, WINDOWS, window_bytes, window_of,
 };
+use tautline_rt::PiMutex;
 use tautline_rt::domain::{shared_folder, shared_path};
 use tautline_rt::shm::{self, Mapping, OwnFile, PeerFile, Region, ShmError, page_bytes};
-use tautline_rt::{PiGuard, PiMutex};
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautpart");
 /// The version of the layout of a participant's file: raised with any change, which a test of `connection` detects.
@@ -197,21 +197,17 @@ impl OwnMemory {
         Ok(memory)
     }
 
-    fn ranges(&self) -> PiGuard<'_, Ranges> {
-        self.ranges.lock()
-    }
-
     /// Takes a part of the file that is at least `len` bytes long, without memory yet. It reads as zeros.
     pub(crate) fn reserve(&self, len: u64) -> io::Result<Range> {
         if len > PackedRange::MAX_LEN {
             return Err(io::Error::other("a piece of shared memory is shorter than 64 GiB"));
         }
         let none = || io::Error::other("the file of this participant is at its greatest length");
-        let range = self.ranges().take(len).ok_or_else(none)?;
+        let range = self.ranges.lock().take(len).ok_or_else(none)?;
         let mut file_len = self.len.lock();
         if range.end() > *file_len {
             if let Err(error) = self.file.set_len(range.end()) {
-                self.ranges().give_back(range);
+                self.ranges.lock().give_back(range);
                 return Err(error.source);
             }
             *file_len = range.end();
@@ -233,7 +229,7 @@ impl OwnMemory {
     pub(crate) fn release(&self, range: Range) {
         // If this fails, the part keeps its memory until it is used again.
         let _ = self.file.give_back(range.offset, range.len);
-        self.ranges().give_back(range);
+        self.ranges.lock().give_back(range);
     }
 
     /// Whether somebody removed the file, as systemd-logind does when a user logs out: nobody finds this participant then.
@@ -247,17 +243,13 @@ impl OwnMemory {
     /// The folder was removed, too, or the system refuses, or another process took the file for a dead participant's: try again.
     pub(crate) fn make_stand_in(&self) -> Result<(), TransportError> {
         let path = self.path().with_file_name(format!("{STAND_IN}{:016x}", self.id()));
-        *self.stand_in() = Some(OwnFile::create_at(path, self.id()).map_err(file_error)?);
+        *self.stand_in.lock() = Some(OwnFile::create_at(path, self.id()).map_err(file_error)?);
         Ok(())
-    }
-
-    fn stand_in(&self) -> PiGuard<'_, Option<OwnFile>> {
-        self.stand_in.lock()
     }
 
     /// Removes the file.
     pub(crate) fn retire(&self) {
-        if let Some(stand_in) = self.stand_in().take() {
+        if let Some(stand_in) = self.stand_in.lock().take() {
             stand_in.retire();
         }
         self.file.retire();

@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, mpsc};
 use std::task::Waker;
 use std::time::{Duration, Instant};
-use tautline_rt::{PiGuard, PiMutex, RtError, ThreadBuilder, ThreadInfo};
+use tautline_rt::{PiMutex, RtError, ThreadBuilder, ThreadInfo};
 use tautline_transport::{Participant, ServiceType};
 
 /// Interval of checks whether a server on the far side is available.
@@ -111,12 +111,6 @@ struct ExchangeState {
     problems: PiMutex<BTreeMap<String, String>>,
 }
 
-impl ExchangeState {
-    fn problems(&self) -> PiGuard<'_, BTreeMap<String, String>> {
-        self.problems.lock()
-    }
-}
-
 impl<F: FarServices> Services<F> {
     /// Starts the thread, which the participant's sampler (another thread) wakes.
     ///
@@ -164,13 +158,13 @@ impl<F: FarServices> Services<F> {
     /// Services that are not mirrored, and why.
     pub fn problems(&self) -> BTreeMap<String, String> {
         let mut problems = self.routes.problems.clone();
-        problems.extend(self.state.problems().clone());
+        problems.extend(self.state.problems.lock().clone());
         problems
     }
 
     /// Retries failed services: memory may be free, or a package installed by now.
     pub fn try_again(&mut self, with: impl FnOnce() -> F::With) {
-        if !self.state.problems().is_empty() {
+        if !self.state.problems.lock().is_empty() {
             let routes = std::mem::take(&mut self.routes);
             self.set_routes(routes, with());
         }
@@ -272,7 +266,7 @@ impl<F: FarServices> Exchange<F> {
         self.offered.retain(|key, offered| routes.offered.get(key) == Some(offered.service()));
         self.sought.retain(|key, _| routes.sought.contains_key(key));
         self.refused.retain(|key, _| routes.offered.contains_key(key) || routes.sought.contains_key(key));
-        self.state.problems().clear();
+        self.state.problems.lock().clear();
         for (key, service) in &routes.offered {
             if !self.offered.contains_key(key) {
                 let counters = self.state.stats.counters(key, Direction::Out);
@@ -311,6 +305,6 @@ impl<F: FarServices> Exchange<F> {
             tracing::warn!("service '{}' is not mirrored: {reason}", key.topic);
             self.refused.insert(key.clone(), reason.clone());
         }
-        self.state.problems().insert(key.topic.clone(), reason);
+        self.state.problems.lock().insert(key.topic.clone(), reason);
     }
 }

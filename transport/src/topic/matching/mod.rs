@@ -35,8 +35,8 @@ use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
+use tautline_rt::PiMutex;
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
-use tautline_rt::{PiGuard, PiMutex};
 
 /// How long a new subscription waits for the participants of existing publishers.
 const PATIENCE: Duration = Duration::from_millis(100);
@@ -128,15 +128,11 @@ impl Matcher {
         Matcher { domain, record, listeners, state: PiMutex::new(state) }
     }
 
-    fn state(&self) -> PiGuard<'_, MatcherState> {
-        self.state.lock()
-    }
-
     /// Runs `what` with the lock held, settles what it changed, and then calls the janitors that this concerns.
     fn work<T>(&self, what: impl FnOnce(&mut MatcherState, &mut Work) -> T) -> (T, LookOutcome) {
         let mut work = Work::default();
         let result = {
-            let mut state = self.state();
+            let mut state = self.state.lock();
             let result = what(&mut state, &mut work);
             state.settle(&mut work);
             result
@@ -312,7 +308,7 @@ impl Matcher {
 
     /// Whether a subscription may still look for samples of this participant's publishers, when the participant ends.
     pub(crate) fn is_awaited(&self) -> bool {
-        let mut state = self.state();
+        let mut state = self.state.lock();
         let MatcherState { index, peers, departing, domain, .. } = &mut *state;
         index.refresh(domain, peers);
         departing.values().any(|core| core.is_awaited(|gid| index.has(gid, core.topic.hash())))

@@ -18,7 +18,7 @@ use std::collections::HashSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use tautline_doorbell::Slot;
-use tautline_rt::{LatestReader, LatestWriter, PiGuard, PiMutex, latest};
+use tautline_rt::{LatestReader, LatestWriter, PiMutex, latest};
 
 /// The maximum number of ended publishers with samples that no take has seen: beyond it, the samples of the one that ended first are lost,
 /// and counted.
@@ -126,10 +126,6 @@ impl SubscriptionCore {
         (Arc::new(core), TakeState::new(reader))
     }
 
-    fn setup(&self) -> PiGuard<'_, Setup> {
-        self.setup.lock()
-    }
-
     /// The subscription's entry in the record.
     pub(crate) fn record(&self, node: Option<u64>) -> PortRecord {
         PortRecord {
@@ -145,7 +141,7 @@ impl SubscriptionCore {
 
     /// Adds a discovered publisher. True if its participant is to make a connection, which [`attach`](Self::attach) then finds.
     pub(crate) fn expect(&self, expected: DiscoveredPublisher) -> bool {
-        let mut setup = self.setup();
+        let mut setup = self.setup.lock();
         let gid = expected.gid;
         if setup.endpoints.contains(gid) || setup.expected.iter().any(|other| other.gid == gid) {
             return false;
@@ -184,7 +180,7 @@ impl SubscriptionCore {
     /// # Errors
     /// The system refuses to map a publisher's memory; others were attached.
     pub(crate) fn attach(&self) -> Result<usize, TransportError> {
-        let mut setup = self.setup();
+        let mut setup = self.setup.lock();
         let mut error = None;
         let mut waiting = Vec::new();
         for expected in std::mem::take(&mut setup.expected) {
@@ -244,12 +240,12 @@ impl SubscriptionCore {
 
     /// Whether this publisher is expected.
     pub(crate) fn expects(&self, publisher: Gid) -> bool {
-        self.setup().expected.iter().any(|expected| expected.gid == publisher)
+        self.setup.lock().expected.iter().any(|expected| expected.gid == publisher)
     }
 
     /// How many publishers are expected.
     pub(crate) fn expected(&self) -> usize {
-        self.setup().expected.len()
+        self.setup.lock().expected.len()
     }
 
     /// Whether publishers are expected, or are to be closed.
@@ -263,7 +259,7 @@ impl SubscriptionCore {
 
     /// Ends a publisher. `is_dead`: with its participant, so killed unless its memory says that it ended. Then [`settle`](Self::settle).
     pub(crate) fn disconnect(&self, publisher: Gid, is_dead: bool) {
-        let mut setup = self.setup();
+        let mut setup = self.setup.lock();
         let is_expected = |expected: &DiscoveredPublisher| expected.gid == publisher;
         let Some(place) = setup.expected.iter().position(is_expected) else {
             return end(&mut setup, publisher, is_dead);
@@ -282,7 +278,7 @@ impl SubscriptionCore {
     /// # Errors
     /// The system refuses.
     pub(crate) fn map_segments(&self, publisher: Option<Gid>) -> Result<(), TransportError> {
-        let mut setup = self.setup();
+        let mut setup = self.setup.lock();
         let Setup { proxies, is_stale, .. } = &mut *setup;
         let all = || proxies.iter().map(Keyed::key).collect();
         for gid in publisher.map_or_else(all, |gid| vec![gid]) {
@@ -302,13 +298,13 @@ impl SubscriptionCore {
 
     /// Sets the endpoints on other hosts, with their tags, and the tags of those that have ended by themselves.
     pub(crate) fn set_remote(&self, told: &[(Gid, u64)], ended: &HashSet<u64>) {
-        self.setup().endpoints.set_remote(told, ended);
+        self.setup.lock().endpoints.set_remote(told, ended);
     }
 
     /// Hands over what has changed, rings for it, and notifies monitors. Returns the publishers whose connections were closed,
     /// whether others are still to be closed, and whether the endpoints of the topic have changed.
     pub(crate) fn settle(&self) -> (Vec<Gid>, bool, bool) {
-        let mut setup = self.setup();
+        let mut setup = self.setup.lock();
         self.forget_unseen(&mut setup);
         // `close_done` hands over what is new, too.
         let was_stale = setup.is_stale;
@@ -349,7 +345,7 @@ impl SubscriptionCore {
 
     /// Closes the connections of a subscription that has gone, when its samples are back. Returns the publishers, which may reuse memory.
     pub(crate) fn close(&self) -> Vec<Gid> {
-        let mut setup = self.setup();
+        let mut setup = self.setup.lock();
         setup.expected.clear();
         let close = |proxy: &WriterProxy| {
             proxy.entry.receiver.block().back.set_state(ReaderState::Closed);
@@ -365,7 +361,7 @@ impl SubscriptionCore {
     }
 
     pub(crate) fn monitor(&self) -> LatestReader<Arc<EndpointList>> {
-        self.setup().endpoints.monitor()
+        self.setup.lock().endpoints.monitor()
     }
 }
 

@@ -13,8 +13,8 @@ use crate::topic::writer::core::PublisherCore;
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Weak};
+use tautline_rt::PiMutex;
 use tautline_rt::shm::Mapping;
-use tautline_rt::{PiGuard, PiMutex};
 
 #[derive(Clone)]
 pub(crate) enum PublisherMemory {
@@ -52,7 +52,7 @@ impl PublisherMemory {
     pub(crate) fn head(&self) -> Option<MappedControl> {
         match self {
             PublisherMemory::Own(core) => core.view().map(|view| view.head_map()),
-            PublisherMemory::Peer(peer) => Some(peer.state().view.head_map()),
+            PublisherMemory::Peer(peer) => Some(peer.state.lock().view.head_map()),
         }
     }
 
@@ -68,7 +68,7 @@ impl PublisherMemory {
     pub(crate) fn has_ended(&self) -> bool {
         match self {
             PublisherMemory::Own(_) => true,
-            PublisherMemory::Peer(peer) => peer.state().view.has_ended(),
+            PublisherMemory::Peer(peer) => peer.state.lock().view.has_ended(),
         }
     }
 }
@@ -86,12 +86,8 @@ struct PeerPublisherState {
 }
 
 impl PeerPublisher {
-    fn state(&self) -> PiGuard<'_, PeerPublisherState> {
-        self.state.lock()
-    }
-
     fn connection(&self, subscription: Gid) -> Result<Option<Connection>, TransportError> {
-        let mut state = self.state();
+        let mut state = self.state.lock();
         // Each directory is twice as large as the one that it replaces, so few follow each other.
         for _ in 0..8 {
             self.map_parts(&mut state.view)?;
@@ -113,7 +109,7 @@ impl PeerPublisher {
     }
 
     fn segments(&self) -> Result<(SegmentViews, u32), TransportError> {
-        let mut state = self.state();
+        let mut state = self.state.lock();
         // Read before the segments: a change after this changes the count again.
         let grown = state.view.head().grown.load(Ordering::Acquire);
         if state.grown == Some(grown) {
@@ -187,7 +183,7 @@ impl PeerPublishers {
         let of_it = self.known.range(Gid::of(participant, 0)..);
         let of_it = of_it.take_while(|(gid, _)| gid.participant() == participant);
         let has_grown = |publisher: &PeerPublisher| {
-            let state = publisher.state();
+            let state = publisher.state.lock();
             state.grown.is_some_and(|grown| grown != state.view.head().grown.load(Ordering::Acquire))
         };
         let grown = of_it.filter(|(_, publisher)| publisher.upgrade().is_some_and(|one| has_grown(&one)));

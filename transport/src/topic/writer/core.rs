@@ -24,7 +24,7 @@ use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use tautline_doorbell::Slot;
-use tautline_rt::{LatestWriter, PiGuard, PiMutex, affinity_of, latest};
+use tautline_rt::{LatestWriter, PiMutex, affinity_of, latest};
 
 /// The minimum number of samples that a publisher whose memory is claimed on use claims at once.
 const FIRST_SAMPLES: usize = 4;
@@ -177,22 +177,18 @@ impl PublisherCore {
             matched: Arc::default(),
             setup: PiMutex::new(setup),
         };
-        let grown = core.grow(&mut core.setup(), None);
+        let grown = core.grow(&mut core.setup.lock(), None);
         if let Err(error) = grown {
             core.release(|_| false, |_| false);
             return Err(error);
         }
-        core.hand_over(&mut core.setup());
+        core.hand_over(&mut core.setup.lock());
         Ok((Arc::new(core), PublishState::new(reader)))
-    }
-
-    fn setup(&self) -> PiGuard<'_, Setup> {
-        self.setup.lock()
     }
 
     /// The publisher's entry in the record.
     pub(crate) fn record(&self, node: Option<u64>) -> PortRecord {
-        let setup = self.setup();
+        let setup = self.setup.lock();
         PortRecord {
             node,
             relay: self.is_relay,
@@ -208,7 +204,7 @@ impl PublisherCore {
     /// # Errors
     /// There is no shared memory for it: nothing has changed.
     pub(crate) fn connect(&self, target: &DiscoveredSubscription) -> Result<bool, TransportError> {
-        let mut setup = self.setup();
+        let mut setup = self.setup.lock();
         if setup.control.is_none() || setup.endpoints.contains(target.gid) {
             return Ok(false);
         }
@@ -297,7 +293,7 @@ impl PublisherCore {
         &self,
         ports: impl Iterator<Item = &'a PortRecord>,
     ) -> Result<(), TransportError> {
-        let mut setup = self.setup();
+        let mut setup = self.setup.lock();
         let fits = |port: &&PortRecord| self.mismatch(port, &port.qos.qos()).is_none();
         self.grow(&mut setup, ports.filter(fits).map(|port| port.shape(self.limits.loans)))
     }
@@ -365,7 +361,7 @@ impl PublisherCore {
     /// Claims at least one more sample, for a publisher whose memory is claimed on use, or which sends responses or relays. Large samples
     /// are claimed one by one at first, and never more than a quarter of those that exist.
     pub(crate) fn claim_more(&self) -> io::Result<()> {
-        let mut setup = self.setup();
+        let mut setup = self.setup.lock();
         let there = setup.pool.samples(setup.sample_bytes);
         let most = setup.demand.samples(self.limits.loans);
         let doubled = there.max(FIRST_SAMPLES);
@@ -385,7 +381,7 @@ impl PublisherCore {
     /// Makes samples as long as a message of `len_bytes`, longer than all before, needs, or twice that at most. Returns their length.
     /// `is_publishing`: this is the publishing thread, which loans no shorter samples from now on.
     pub(crate) fn lengthen(&self, len_bytes: usize, is_publishing: bool) -> io::Result<usize> {
-        let mut setup = self.setup();
+        let mut setup = self.setup.lock();
         let (before, wanted) = (setup.sample_bytes, grown_sample_bytes(len_bytes));
         if wanted <= before || setup.control.is_none() {
             return Ok(before);
@@ -423,7 +419,7 @@ impl PublisherCore {
 
     /// Claims the memory of a subscription's queues for `samples` samples, if it is claimed on use.
     pub(crate) fn claim_queues(&self, subscription: Gid, samples: usize) -> io::Result<()> {
-        let mut setup = self.setup();
+        let mut setup = self.setup.lock();
         let Setup { control: Some(control), proxies, .. } = &mut *setup else { return Ok(()) };
         match proxies.get(subscription) {
             Some(proxy) => control.claim_queues(&proxy.place, samples),
@@ -434,7 +430,7 @@ impl PublisherCore {
     /// Disconnects a subscription that has gone, perhaps with its process. True if it had attached and may still hold samples: see
     /// [`disconnect_closed`](Self::disconnect_closed). Call [`settle`](Self::settle) afterwards.
     pub(crate) fn disconnect(&self, subscription: Gid, is_dead: bool) -> bool {
-        let mut setup = self.setup();
+        let mut setup = self.setup.lock();
         setup.endpoints.remove(subscription, is_dead);
         let Setup { proxies, pool, is_stale, retired, demand, .. } = &mut *setup;
         let Some(ReaderProxy { sender, place, .. }) = proxies.get(subscription) else { return false };
@@ -459,7 +455,7 @@ impl PublisherCore {
     /// Retires the subscriptions that have gone and have closed their connections by now, or whose participants no longer exist. True if
     /// others have not.
     pub(crate) fn disconnect_closed(&self, is_there: impl Fn(u64) -> bool) -> bool {
-        let mut setup = self.setup();
+        let mut setup = self.setup.lock();
         let Setup { proxies, pool, is_stale, retired, .. } = &mut *setup;
         let mut is_held_up = false;
         for sender in proxies.iter().map(|proxy| &proxy.sender).filter(|sender| sender.is_leaving()) {
@@ -476,22 +472,22 @@ impl PublisherCore {
 
     /// Whether the publisher has added segments since the last call.
     pub(crate) fn take_grown(&self) -> bool {
-        std::mem::take(&mut self.setup().has_grown)
+        std::mem::take(&mut self.setup.lock().has_grown)
     }
 
     /// The participants of its subscriptions.
     pub(crate) fn participants(&self) -> BTreeSet<u64> {
-        self.setup().proxies.iter().map(|proxy| proxy.sender.subscription.participant()).collect()
+        self.setup.lock().proxies.iter().map(|proxy| proxy.sender.subscription.participant()).collect()
     }
 
     /// Sets the endpoints on other hosts, with their tags, and the tags of those that have ended by themselves.
     pub(crate) fn set_remote(&self, told: &[(Gid, u64)], ended: &HashSet<u64>) {
-        self.setup().endpoints.set_remote(told, ended);
+        self.setup.lock().endpoints.set_remote(told, ended);
     }
 
     /// Hands over what has changed, and notifies monitors. Returns whether the endpoints of the topic have changed.
     pub(crate) fn settle(&self) -> bool {
-        let mut setup = self.setup();
+        let mut setup = self.setup.lock();
         self.forget_drained(&mut setup);
         self.forget_short_segments(&mut setup);
         if setup.is_stale {
@@ -588,12 +584,12 @@ impl PublisherCore {
 
     /// The memory that a subscription of the same process maps.
     pub(crate) fn view(&self) -> Option<View> {
-        self.setup().control.as_ref().map(View::of_own)
+        self.setup.lock().control.as_ref().map(View::of_own)
     }
 
     /// The segments that a subscription of the same process reads, and their change count. The same views as before if nothing has changed.
     pub(crate) fn segment_views(&self) -> (SegmentViews, u32) {
-        let mut setup = self.setup();
+        let mut setup = self.setup.lock();
         let grown = setup.control.as_ref().map_or(0, |control| control.head().grown.load(Ordering::Acquire));
         if let Some(views) = setup.views.as_ref().filter(|(_, of)| *of == grown) {
             return views.clone();
@@ -608,12 +604,12 @@ impl PublisherCore {
     }
 
     pub(crate) fn monitor(&self) -> tautline_rt::LatestReader<Arc<crate::topic::endpoints::EndpointList>> {
-        self.setup().endpoints.monitor()
+        self.setup.lock().endpoints.monitor()
     }
 
     /// Marks the publisher as ended: no thread publishes any more. Samples that were sent stay until they are taken.
     pub(crate) fn end(&self) {
-        let mut setup = self.setup();
+        let mut setup = self.setup.lock();
         if let Some(history) = &self.history {
             history.release(&setup.pool);
         }
@@ -626,7 +622,7 @@ impl PublisherCore {
     /// Gives the memory back, if the publisher has ended and no subscription uses it: `is_there` says which participants are alive,
     /// `is_listed` which subscriptions exist. Returns false if a subscription still uses it.
     pub(crate) fn release(&self, is_there: impl Fn(u64) -> bool, is_listed: impl Fn(Gid) -> bool) -> bool {
-        let mut setup = self.setup();
+        let mut setup = self.setup.lock();
         let Setup { proxies, pool, retired, .. } = &mut *setup;
         let is_done = |sender: &ReaderChannel| match sender.block().back.state() {
             ReaderState::Unknown => !is_listed(sender.subscription),
@@ -651,7 +647,7 @@ impl PublisherCore {
 
     /// Whether an existing subscription has not found its connection, or all segments, yet.
     pub(crate) fn is_awaited(&self, is_listed: impl Fn(Gid) -> bool) -> bool {
-        let setup = self.setup();
+        let setup = self.setup.lock();
         let Some(control) = &setup.control else { return false };
         let grown = control.head().grown.load(Ordering::Acquire);
         let is_behind = |sender: &ReaderChannel| sender.block().back.is_behind(grown);
