@@ -69,7 +69,7 @@ pub(crate) struct ContextState {
     pub(crate) arguments: Arguments,
     pub(crate) parameter_events: Arc<EventTopic>,
     pub(crate) rosout: Arc<Rosout>,
-    settings: ContextBuilder,
+    pub(crate) settings: ContextBuilder,
 }
 
 /// The layer below messages, for tools: see the crate `tautline-transport`.
@@ -98,7 +98,7 @@ pub struct ContextBuilder {
     share_statistics: Option<bool>,
     core_time: Option<Option<Duration>>,
     trace: Option<TraceSettings>,
-    remap: RemapRules,
+    pub(crate) remap: RemapRules,
     args: Vec<String>,
 }
 
@@ -420,10 +420,6 @@ impl Context {
     /// The arguments of the command line that are not ROS 2's, with the program's name.
     pub fn non_ros_args(&self) -> &[String] {
         &self.shared.arguments.others
-    }
-
-    pub(crate) fn remap_rules(&self) -> &RemapRules {
-        &self.shared.settings.remap
     }
 
     fn system_for(&self, name: &str) -> Result<Arc<LoadedSystem>> {

@@ -57,7 +57,8 @@ use tautline_transport::{Codec, Decode, Limits, NodeHandle, Participant, Publish
 /// ```
 pub struct Node {
     pub(crate) context: Context,
-    handle: NodeHandle,
+    /// Under which other processes see this node.
+    pub(crate) handle: NodeHandle,
     life: Arc<Life>,
     /// Makes publishers and subscriptions of this node.
     pub(crate) participant: Participant,
@@ -142,7 +143,7 @@ impl Node {
         names::check_node(name)?;
         let mut remap = options.remap;
         if options.use_global_arguments {
-            remap = remap.then(ctx.remap_rules());
+            remap = remap.then(&ctx.shared.settings.remap);
         }
         let name = remap.node_name(name).to_owned();
         let namespace = names::absolute_namespace(remap.namespace(&name).unwrap_or(namespace))?;
@@ -219,12 +220,6 @@ impl Node {
     pub fn logger(&self) -> &Logger {
         logging::start();
         &self.logger
-    }
-
-    /// The handle under which other processes see this node, to announce its services and clients.
-    #[cfg(feature = "rosgraph_msgs")]
-    pub(crate) fn handle(&self) -> &NodeHandle {
-        &self.handle
     }
 
     /// The node's context.

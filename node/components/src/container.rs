@@ -72,7 +72,7 @@ impl Container {
     /// [`ComponentError`]; nothing was created.
     pub fn load(&mut self, load: &Load) -> Result<u64, ComponentError> {
         let library = self.library(&load.library)?;
-        let plugin = find(library.plugins(), load)?;
+        let plugin = find(library.plugins, load)?;
         let short = plugin.name.rsplit("::").next().unwrap_or(plugin.name).to_lowercase();
         let name = if load.name.is_empty() { short } else { load.name.clone() };
         let component = || plugin.name.to_owned();

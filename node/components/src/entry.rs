@@ -25,7 +25,7 @@ static COPY: u8 = 1;
 pub struct Library {
     stamp: [u8; STAMP_BYTES],
     copy: fn() -> *const u8,
-    plugins: &'static [Plugin],
+    pub(crate) plugins: &'static [Plugin],
 }
 
 impl Library {
@@ -37,10 +37,6 @@ impl Library {
     /// Whether the library uses this process's copy of Tautline, and not one of its own.
     pub(crate) fn shares_copy(&self) -> bool {
         std::ptr::eq((self.copy)(), copy())
-    }
-
-    pub(crate) fn plugins(&self) -> &'static [Plugin] {
-        self.plugins
     }
 
     /// The stamp's bytes.

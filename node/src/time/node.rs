@@ -33,7 +33,7 @@ impl Node {
         // Simulated time has 63 bits.
         let period_ns = i64::try_from(period.as_nanos()).unwrap_or(i64::MAX).unsigned_abs();
         let events = self.context.events().clone();
-        let timer = RosTimer::new(self.handle(), self.time_source.waiter()?, events, period_ns)?;
-        Ok(Timer::on_ros_clock(self.handle(), timer))
+        let timer = RosTimer::new(&self.handle, self.time_source.waiter()?, events, period_ns)?;
+        Ok(Timer::on_ros_clock(&self.handle, timer))
     }
 }

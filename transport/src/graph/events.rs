@@ -42,17 +42,13 @@ pub(crate) struct GraphListeners {
 /// The listeners of a participant, and their thread once there is one.
 pub(crate) struct GraphWatcher {
     domain: Arc<Domain>,
-    listeners: Arc<GraphListeners>,
+    pub(crate) listeners: Arc<GraphListeners>,
     thread: Mutex<Option<JoinHandle<()>>>,
 }
 
 impl GraphWatcher {
     pub(crate) fn new(domain: Arc<Domain>) -> Self {
         GraphWatcher { domain, listeners: Arc::default(), thread: Mutex::default() }
-    }
-
-    pub(crate) fn listeners(&self) -> &Arc<GraphListeners> {
-        &self.listeners
     }
 
     pub(crate) fn subscribe(&self) -> Result<GraphEvents, TransportError> {

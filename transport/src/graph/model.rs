@@ -173,10 +173,10 @@ impl ParticipantRecord {
             });
         }
         if let Some(port) = self.remote_ports.get(&number) {
-            return Some(Listed::Topic(port.endpoint(self.node(port.node())?, Some(id))));
+            return Some(Listed::Topic(port.endpoint(self.node(port.node)?, Some(id))));
         }
         let service = self.remote_services.get(&number)?;
-        Some(Listed::Service(service.endpoint(self.node(service.node())?, Some(id))))
+        Some(Listed::Service(service.endpoint(self.node(service.node)?, Some(id))))
     }
 }
 

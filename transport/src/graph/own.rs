@@ -256,8 +256,8 @@ impl OwnRecordState {
 /// The entries to be announced for endpoints, with the hashes of their names; `nodes` are the numbers of their nodes' entries.
 fn wanted(remote: &RemoteGraph, nodes: &HashMap<NodeName, u64>) -> Vec<(EntryKind, u64, Vec<u8>)> {
     let (ports, services) = remote.records(nodes);
-    let ports = ports.iter().map(|port| (EntryKind::RemotePort, hash_of(port.topic()), to_body(port)));
-    let services = services.iter().map(|end| (EntryKind::RemoteService, hash_of(end.name()), to_body(end)));
+    let ports = ports.iter().map(|port| (EntryKind::RemotePort, hash_of(&port.topic), to_body(port)));
+    let services = services.iter().map(|end| (EntryKind::RemoteService, hash_of(&end.name), to_body(end)));
     let ended = remote.ended.iter().map(|tag| (EntryKind::RemoteEnded, *tag, Vec::new()));
     // The normal ends come before the entries of ended publishers are removed.
     ended.chain(ports).chain(services).collect()

@@ -140,9 +140,9 @@ impl PortRecord {
 /// A publisher or subscription of another host.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct RemotePortRecord {
-    node: u64,
+    pub(crate) node: u64,
     kind: PortKind,
-    topic: String,
+    pub(crate) topic: String,
     #[serde(rename = "type")]
     type_name: String,
     hash: Option<String>,
@@ -155,9 +155,9 @@ pub(crate) struct RemotePortRecord {
 /// A service or client of another host.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct RemoteServiceRecord {
-    node: u64,
+    pub(crate) node: u64,
     is_server: bool,
-    name: String,
+    pub(crate) name: String,
     #[serde(rename = "type")]
     type_name: String,
     hash: Option<String>,
@@ -223,14 +223,6 @@ impl RemotePortRecord {
             && self.origin.is_valid()
     }
 
-    pub(crate) fn topic(&self) -> &str {
-        &self.topic
-    }
-
-    pub(crate) fn node(&self) -> u64 {
-        self.node
-    }
-
     /// The endpoint as `teller`, if that is a participant of this domain, announces it.
     pub(crate) fn endpoint(&self, node: &NodeName, teller: Option<u64>) -> TopicEndpoint {
         let mut topic_type = TopicType::new(self.type_name.clone());
@@ -271,14 +263,6 @@ impl RemoteServiceRecord {
     /// Whether the record is valid.
     pub(crate) fn is_valid(&self) -> bool {
         is_absolute(&self.name) && is_type(&self.type_name, self.hash.as_deref()) && self.origin.is_valid()
-    }
-
-    pub(crate) fn name(&self) -> &str {
-        &self.name
-    }
-
-    pub(crate) fn node(&self) -> u64 {
-        self.node
     }
 
     /// The endpoint as `teller`, if that is a participant of this domain, announces it.
@@ -399,7 +383,7 @@ mod tests {
         };
         let record = RemotePortRecord::new(1, &end);
         let parsed = RemotePortRecord::parse(&to_body(&record)).unwrap();
-        assert_eq!((parsed.node(), parsed.endpoint(&node(), Some(4))), (1, end));
+        assert_eq!((parsed.node, parsed.endpoint(&node(), Some(4))), (1, end));
         let service = ServiceEndpoint {
             kind: ServiceKind::Server,
             name: "/robot/add".into(),

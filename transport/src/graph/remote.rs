@@ -104,9 +104,9 @@ impl From<Text> for RemoteGraph {
             node.is_valid().then_some(&node.name)
         };
         let endpoints = ends.iter().filter(|end| end.is_valid());
-        let endpoints = endpoints.filter_map(|end| Some(end.endpoint(node_at(end.node())?, None))).collect();
+        let endpoints = endpoints.filter_map(|end| Some(end.endpoint(node_at(end.node)?, None))).collect();
         let services = services.iter().filter(|end| end.is_valid());
-        let services = services.filter_map(|end| Some(end.endpoint(node_at(end.node())?, None))).collect();
+        let services = services.filter_map(|end| Some(end.endpoint(node_at(end.node)?, None))).collect();
         let nodes = nodes.into_iter().filter(NodeRecord::is_valid);
         let nodes = nodes
             .filter_map(|NodeRecord { name, enclave, origin }| {

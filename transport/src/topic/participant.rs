@@ -105,7 +105,7 @@ impl Participant {
         };
         let record = OwnRecord::new(&domain, &memory);
         let graph_watcher = GraphWatcher::new(domain.clone());
-        let matcher = Arc::new(Matcher::new(&domain, memory.id(), &record, graph_watcher.listeners()));
+        let matcher = Arc::new(Matcher::new(&domain, memory.id(), &record, &graph_watcher.listeners));
         let place = domain.add(memory.id()).inspect_err(|_| memory.retire())?;
         let membership = Membership {
             domain: domain.clone(),

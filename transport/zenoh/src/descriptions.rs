@@ -90,7 +90,7 @@ pub(crate) struct Descriptions {
     /// Requests sent so far, by type and service.
     asked: HashSet<(TypeId, String)>,
     answering: BTreeMap<String, Queryable<()>>,
-    counts: BTreeMap<String, u64>,
+    pub(crate) counts: BTreeMap<String, u64>,
 }
 
 impl Descriptions {
@@ -115,10 +115,6 @@ impl Descriptions {
             answering: BTreeMap::new(),
             counts: BTreeMap::new(),
         })
-    }
-
-    pub(crate) fn counts(&self) -> &BTreeMap<String, u64> {
-        &self.counts
     }
 
     fn count(&mut self, what: impl ToString) {
@@ -382,11 +378,11 @@ mod tests {
         assert_eq!(outcome, "answered");
 
         asker.learn(&id, Some(&reply));
-        assert!(asker.counts().is_empty(), "no request");
+        assert!(asker.counts.is_empty(), "no request");
         asker.pending.insert(id.clone(), Instant::now());
         asker.learn(&id, Some(&reply));
         asker.learn(&id, Some(&reply));
-        assert_eq!(asker.counts(), &BTreeMap::from([("learned".into(), 1)]));
+        assert_eq!(asker.counts, BTreeMap::from([("learned".into(), 1)]));
         let learned = types(here.path()).schema(&id).unwrap();
         assert_eq!((learned.hash(), learned.referenced().count()), (pose.hash(), 1));
 

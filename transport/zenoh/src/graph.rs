@@ -41,7 +41,7 @@ pub(crate) struct Graph {
     /// Tags of publishers that ended normally, and when that was announced.
     ended: VecDeque<(Instant, u64)>,
     /// Refused tokens, by reason.
-    refused: BTreeMap<String, u64>,
+    pub(crate) refused: BTreeMap<String, u64>,
     /// Whether a token was refused for lack of room.
     is_incomplete: bool,
 }
@@ -185,11 +185,6 @@ impl Graph {
     pub(crate) fn keys(&self) -> impl Iterator<Item = &str> {
         self.tokens.keys().map(String::as_str)
     }
-
-    /// Refused tokens, by reason.
-    pub(crate) fn refused(&self) -> &BTreeMap<String, u64> {
-        &self.refused
-    }
 }
 
 #[cfg(test)]
@@ -260,7 +255,7 @@ mod tests {
         }
         let over = 9_940 + 9_996 - 39; // 0xAA is our own
         let refused = [(Malformed::Zid.to_string(), 1000), ("over the limit".into(), over)];
-        assert_eq!(graph.refused(), &BTreeMap::from(refused));
+        assert_eq!(graph.refused, BTreeMap::from(refused));
 
         assert!(!graph.wants_resync(), "no room yet");
         for n in 0..60 {

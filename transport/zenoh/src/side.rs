@@ -358,7 +358,7 @@ impl FarSide for NetworkSide {
             self.descriptions.request(&self.session, &wire_key, &self.graph);
         }
         let max_bytes = self.options.max_message_bytes;
-        let claims = self.claims.queue();
+        let claims = self.claims.queue.clone();
         let started = Incoming::start(&self.session, &wire_key, inward, ingress, old, max_bytes, claims);
         self.incoming.insert(key.clone(), started.map_err(|error| error.to_string())?);
         Ok(())
@@ -400,9 +400,9 @@ impl FarSide for NetworkSide {
             uptime_s: report.uptime_s,
             remote_nodes,
             remote_endpoints: self.graph.tokens().count() - remote_nodes,
-            refused_tokens: self.graph.refused().clone(),
+            refused_tokens: self.graph.refused.clone(),
             not_mirrored: not_mirrored.collect(),
-            type_descriptions: self.descriptions.counts().clone(),
+            type_descriptions: self.descriptions.counts.clone(),
             unauthorized: crate::access::refused(),
             topics: topics.collect(),
             services: services.collect(),

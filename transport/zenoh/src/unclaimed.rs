@@ -17,7 +17,7 @@ const OVERHEAD_BYTES: usize = 1024;
 
 /// The thread that claims memory; dropping this ends it.
 pub(crate) struct ClaimThread {
-    queue: ClaimQueue,
+    pub(crate) queue: ClaimQueue,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -40,10 +40,6 @@ impl ClaimThread {
         })?;
         let queue = ClaimQueue { topics, waiting_bytes: Arc::default() };
         Ok(ClaimThread { queue, thread: Some(thread) })
-    }
-
-    pub(crate) fn queue(&self) -> ClaimQueue {
-        self.queue.clone()
     }
 }
 

@@ -249,8 +249,8 @@ impl<F: FarServices> Exchange<F> {
             true => Some(Duration::ZERO),
             false => self.next_check().map(|next| next.saturating_duration_since(Instant::now())),
         };
-        let servers: Vec<&F::Server> = self.offered.values().map(Offered::far).collect();
-        let clients: Vec<&F::Client> = self.sought.values().map(Sought::far).collect();
+        let servers: Vec<&F::Server> = self.offered.values().map(|offered| &offered.far).collect();
+        let clients: Vec<&F::Client> = self.sought.values().map(|sought| &sought.far).collect();
         let Arrived { requests, responses } = self.far.wait(&servers, &clients, timeout)?;
         for (offered, _) in self.offered.values_mut().zip(requests).filter(|(_, is_ready)| *is_ready) {
             offered.serve();
@@ -263,7 +263,7 @@ impl<F: FarServices> Exchange<F> {
 
     fn set_routes(&mut self, routes: &Routes, with: &F::With) {
         // A server with another node or definition is another one.
-        self.offered.retain(|key, offered| routes.offered.get(key) == Some(offered.service()));
+        self.offered.retain(|key, offered| routes.offered.get(key) == Some(&offered.service));
         self.sought.retain(|key, _| routes.sought.contains_key(key));
         self.refused.retain(|key, _| routes.offered.contains_key(key) || routes.sought.contains_key(key));
         self.state.problems.lock().clear();

@@ -50,10 +50,11 @@ pub trait FarServer: Send {
 pub(super) struct Offered<S: FarServer> {
     /// One client, and more while many requests are pending.
     clients: Vec<RawClient>,
-    far: S,
+    pub(super) far: S,
     flag: Arc<Flag>,
     key: TopicKey,
-    service: OfferedService,
+    /// The service, as it was when this was opened.
+    pub(super) service: OfferedService,
     service_type: ServiceType,
     participant: Participant,
     /// Requests that are not sent yet, for lack of a server or of room in its queue.
@@ -104,15 +105,6 @@ impl<S: FarServer> Offered<S> {
     /// Whether requests wait for a server in the domain or for room in its queue.
     pub(super) fn is_waiting(&self) -> bool {
         !self.waiting.is_empty()
-    }
-
-    /// The service, as it was when this was opened.
-    pub(super) fn service(&self) -> &OfferedService {
-        &self.service
-    }
-
-    pub(super) fn far(&self) -> &S {
-        &self.far
     }
 
     /// Takes at most one turn of requests from the far side. Further requests end the next wait.

@@ -63,7 +63,7 @@ pub enum Response {
 }
 
 pub(super) struct Sought<C: FarClient> {
-    far: C,
+    pub(super) far: C,
     flag: Arc<Flag>,
     /// Exists while the far server is available.
     server: Option<RawServer>,
@@ -97,10 +97,6 @@ impl<C: FarClient> Sought<C> {
             participant: participant.clone(),
             counters,
         }
-    }
-
-    pub(super) fn far(&self) -> &C {
-        &self.far
     }
 
     /// Whether the far server is not available yet.

@@ -20,7 +20,7 @@ use tautline_rt::fork::ProcessMutex;
 const MOST_REMOTE: usize = 256;
 
 pub(super) struct Index {
-    own: u64,
+    pub(super) own: u64,
     epoch: Option<u32>,
     members: HashMap<u64, IndexedParticipant>,
     /// The members whose records were read to the end, by index, with their state at that time.
@@ -117,10 +117,6 @@ impl Index {
             retries: Vec::new(),
             refused: HashSet::new(),
         }
-    }
-
-    pub(super) fn own(&self) -> u64 {
-        self.own
     }
 
     /// Reads the new entries of the records that have changed.

@@ -562,7 +562,7 @@ impl MatcherState {
     /// Returns a function that says whether a participant is in the domain.
     fn members(&self) -> impl Fn(u64) -> bool + use<> {
         let members: BTreeSet<u64> = self.domain.members().map(|member| member.id).collect();
-        let own = self.index.own();
+        let own = self.index.own;
         move |id| id == own || members.contains(&id)
     }
 
@@ -574,7 +574,7 @@ impl MatcherState {
         let is_there = self.members();
         for number in numbers {
             let Some(core) = self.departing.get(&number) else { continue };
-            let is_listed = |gid: Gid| match gid.participant() == self.index.own() {
+            let is_listed = |gid: Gid| match gid.participant() == self.index.own {
                 true => self.subscriptions.contains_key(&gid.number()),
                 false => self.index.has(gid, core.topic.hash()),
             };
@@ -621,7 +621,7 @@ impl MatcherState {
             work.has_new_matches |= core.settle();
         }
         work.outcome.is_pending |= self.index.has_retries();
-        let own = self.index.own();
+        let own = self.index.own;
         work.calls.extend(work.closed.iter().map(|gid| gid.participant()));
         work.calls.remove(&own);
         let closed = work.closed.range(Gid::of(own, 0)..).take_while(|gid| gid.participant() == own);
