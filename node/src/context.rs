@@ -111,60 +111,51 @@ impl ContextBuilder {
     pub const CORE_TIME_PIECE: Duration = tautline_system::CORE_TIME_PIECE;
 
     /// The domain, 0 to 232. Otherwise `TAUT_DOMAIN`, else `ROS_DOMAIN_ID`, else 0.
-    pub fn domain(mut self, domain: u32) -> Self {
-        self.domain = Some(domain);
-        self
+    pub fn domain(self, domain: u32) -> Self {
+        ContextBuilder { domain: Some(domain), ..self }
     }
 
     /// Whether threads get their real-time policies. Otherwise [`Realtime::Required`], unless `TAUT_REALTIME=off`.
-    pub fn realtime(mut self, realtime: Realtime) -> Self {
-        self.realtime = Some(realtime);
-        self
+    pub fn realtime(self, realtime: Realtime) -> Self {
+        ContextBuilder { realtime: Some(realtime), ..self }
     }
 
     /// `SCHED_FIFO` priority of the sampler, 1 to 99; must be above the callbacks' for their response times to hold.
-    pub fn sampler_priority(mut self, priority: u8) -> Self {
-        self.sampler_priority = Some(priority);
-        self
+    pub fn sampler_priority(self, priority: u8) -> Self {
+        ContextBuilder { sampler_priority: Some(priority), ..self }
     }
 
     /// The core on which the sampler runs.
-    pub fn sampler_core(mut self, core: usize) -> Self {
-        self.sampler_cores = Some(CoreSet::one(core));
-        self
+    pub fn sampler_core(self, core: usize) -> Self {
+        ContextBuilder { sampler_cores: Some(CoreSet::one(core)), ..self }
     }
 
     /// How the sampler waits.
-    pub fn wait(mut self, wait: Wait) -> Self {
-        self.wait = Some(wait);
-        self
+    pub fn wait(self, wait: Wait) -> Self {
+        ContextBuilder { wait: Some(wait), ..self }
     }
 
     /// Whether spinning in real time locks the process's memory first (as pages are touched). On by default.
-    pub fn lock_memory(mut self, lock: bool) -> Self {
-        self.lock_memory = Some(lock);
-        self
+    pub fn lock_memory(self, lock: bool) -> Self {
+        ContextBuilder { lock_memory: Some(lock), ..self }
     }
 
     /// Whether spinning in real time keeps all cores out of idle states, by `/dev/cpu_dma_latency`: wake-ups become several times faster,
     /// power consumption rises, and a hypervisor that limits its guests by a quota stops this guest for milliseconds when the quota is used
     /// up. On by default, unless `TAUT_HOLD_IDLE=off`. If the file cannot be opened, a warning is logged.
-    pub fn hold_idle(mut self, hold: bool) -> Self {
-        self.hold_idle = Some(hold);
-        self
+    pub fn hold_idle(self, hold: bool) -> Self {
+        ContextBuilder { hold_idle: Some(hold), ..self }
     }
 
     /// Takes the priorities, cores and queue depths of callbacks, and the sampler's priority, from a system file: the
     /// values with which `taut check` computed its bounds. See [`Context::callback`].
-    pub fn system(mut self, path: impl Into<PathBuf>) -> Self {
-        self.system = Some(path.into());
-        self
+    pub fn system(self, path: impl Into<PathBuf>) -> Self {
+        ContextBuilder { system: Some(path.into()), ..self }
     }
 
     /// Which of the system file's hosts this is. Otherwise `TAUT_HOST`, else the only one.
-    pub fn host(mut self, name: impl Into<String>) -> Self {
-        self.host = Some(name.into());
-        self
+    pub fn host(self, name: impl Into<String>) -> Self {
+        ContextBuilder { host: Some(name.into()), ..self }
     }
 
     /// Whether this process is checked against the load that runs in the domain: its system file when the context is built, and each
@@ -177,41 +168,36 @@ impl ContextBuilder {
     /// let context = Context::builder().domain(66).realtime(Realtime::Off).admission(Admission::Force).build()?;
     /// # Ok::<(), tautline::Error>(())
     /// ```
-    pub fn admission(mut self, admission: Admission) -> Self {
-        self.admission = Some(admission);
-        self
+    pub fn admission(self, admission: Admission) -> Self {
+        ContextBuilder { admission: Some(admission), ..self }
     }
 
     /// Whether the statistics of callbacks lie in a file of `/dev/shm`, where other processes read them
     /// (`tautline_system::shared_statistics`): `taut report` does this, if there is a system file. On by default; it costs
     /// callbacks nothing.
-    pub fn share_statistics(mut self, share: bool) -> Self {
-        self.share_statistics = Some(share);
-        self
+    pub fn share_statistics(self, share: bool) -> Self {
+        ContextBuilder { share_statistics: Some(share), ..self }
     }
 
     /// Whether time that the host takes from the callbacks' cores is accounted for, so that `taut report` can state why a job was late:
     /// steal on a virtual machine, interrupts, timers that were served late. It costs six short system calls (some 3 µs) per job and per
     /// wake-up of the sampler. Time taken from one job counts if it is at least `least`. Otherwise `TAUT_CORE_TIME=on`, which means 100 µs,
     /// or `off`, else off.
-    pub fn account_core_time(mut self, least: Option<Duration>) -> Self {
-        self.core_time = Some(least);
-        self
+    pub fn account_core_time(self, least: Option<Duration>) -> Self {
+        ContextBuilder { core_time: Some(least), ..self }
     }
 
     /// Whether this process can be traced, and how much each thread keeps. Otherwise `TAUT_TRACE` and `TAUT_TRACE_EVENTS`,
     /// else [`TraceMode::Ready`](crate::TraceMode::Ready). This setting applies to the whole process: the first context's
     /// setting counts.
-    pub fn trace(mut self, settings: impl Into<TraceSettings>) -> Self {
-        self.trace = Some(settings.into());
-        self
+    pub fn trace(self, settings: impl Into<TraceSettings>) -> Self {
+        ContextBuilder { trace: Some(settings.into()), ..self }
     }
 
     /// Rules that give every node of this context, and its topics and services, other names; a node's own, in
     /// [`NodeOptions`](crate::NodeOptions), come first.
-    pub fn remap(mut self, rules: RemapRules) -> Self {
-        self.remap = rules;
-        self
+    pub fn remap(self, rules: RemapRules) -> Self {
+        ContextBuilder { remap: rules, ..self }
     }
 
     /// A command line, with or without the program's name. The arguments between `--ros-args` and `--`, or the end,
@@ -226,9 +212,8 @@ impl ContextBuilder {
     /// | `--log-level [LOGGER:=]LEVEL` | `debug`, `info`, `warn`, `error` or `fatal`; all loggers, or one and those below |
     /// | `--disable-stdout-logs`, `--disable-rosout-logs` | lines are not printed, not published; also `--enable-...` |
     /// | `-e PATH`, `--enclave` | of the nodes, as others see it; it selects no security |
-    pub fn args(mut self, args: impl IntoIterator<Item = impl Into<String>>) -> Self {
-        self.args = args.into_iter().map(Into::into).collect();
-        self
+    pub fn args(self, args: impl IntoIterator<Item = impl Into<String>>) -> Self {
+        ContextBuilder { args: args.into_iter().map(Into::into).collect(), ..self }
     }
 
     /// Joins the domain.

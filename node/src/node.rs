@@ -87,9 +87,8 @@ pub struct NodeOptions {
 
 impl NodeOptions {
     /// Remapping rules for this node only; they take precedence over the context's.
-    pub fn remap(mut self, rules: RemapRules) -> Self {
-        self.remap = rules;
-        self
+    pub fn remap(self, rules: RemapRules) -> Self {
+        NodeOptions { remap: rules, ..self }
     }
 
     /// Values for this node's parameters; they take precedence over those of the command line.
@@ -103,9 +102,8 @@ impl NodeOptions {
     }
 
     /// Whether the context's rules, and the parameters of its command line, also apply to this node. On by default.
-    pub fn use_global_arguments(mut self, use_global_arguments: bool) -> Self {
-        self.use_global_arguments = use_global_arguments;
-        self
+    pub fn use_global_arguments(self, use_global_arguments: bool) -> Self {
+        NodeOptions { use_global_arguments, ..self }
     }
 }
 

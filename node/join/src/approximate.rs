@@ -61,17 +61,15 @@ impl ApproximateTime {
     /// The maximum distance between the stamps of a set (message_filters: `setMaxIntervalDuration`, in Python `slop`). No limit by
     /// default.
     #[must_use = "it returns the changed policy"]
-    pub fn max_interval(mut self, interval: Duration) -> Self {
-        self.max_interval_ns = nanos(interval);
-        self
+    pub fn max_interval(self, interval: Duration) -> Self {
+        ApproximateTime { max_interval_ns: nanos(interval), ..self }
     }
 
     /// How much closer together a later set must be to be preferred, as a fraction of how much later it is (`setAgePenalty`).
     /// 0.1 by default; a negative value or NaN counts as 0.
     #[must_use = "it returns the changed policy"]
-    pub fn age_penalty(mut self, penalty: f64) -> Self {
-        self.age_penalty = penalty.max(0.0);
-        self
+    pub fn age_penalty(self, penalty: f64) -> Self {
+        ApproximateTime { age_penalty: penalty.max(0.0), ..self }
     }
 
     /// Guarantees that the stamps of input `input` (from 0) are at least `bound` apart (`setInterMessageLowerBound`). Sets are then

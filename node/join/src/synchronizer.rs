@@ -63,9 +63,8 @@ impl<P: Policy, S: SynchronizerInputs> Synchronizer<P, S> {
 
     /// If a message's stamp is earlier than its predecessor's by more than this, time has jumped back; if by less, the message is
     /// out of order. 1 s by default.
-    pub fn time_jump(mut self, jump: Duration) -> Self {
-        self.time_jump_ns = nanos(jump);
-        self
+    pub fn time_jump(self, jump: Duration) -> Self {
+        Synchronizer { time_jump_ns: nanos(jump), ..self }
     }
 
     /// Counters of the messages, readable from any thread.
