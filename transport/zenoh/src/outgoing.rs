@@ -15,10 +15,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock, mpsc};
 use std::time::{Duration, Instant};
 use tautline_relay::{
-    EarlyLimits, Egress, FarWriter, Last, Outbound, OutboundSample, Relay, RelayError, TopicCounters,
+    EarlyLimits, Egress, FarWriter, Last, Outbound, OutboundSample, Relay, RelayError, TopicCounters, Worker,
 };
 use tautline_rt::clock::monotonic_ns;
-use tautline_rt::{CoreSet, JoinHandle, Policy, Realtime, RtError, ThreadBuilder};
+use tautline_rt::{CoreSet, Policy, Realtime, RtError, ThreadBuilder};
 use tautline_transport::{
     Durability, Gid, History, MessageInfo, Participant, RawSample, Reliability, TracedSample, TracedSender,
 };
@@ -321,20 +321,19 @@ impl AnyPublisher {
     }
 }
 
-/// A queue of samples that may wait, and its thread.
+/// A queue of samples that may wait, and the thread that sends them. Dropping it sends the waiting samples.
 struct Queue {
-    samples: Option<mpsc::Sender<QueuedSample>>,
+    worker: Worker<QueuedSample>,
     waiting_bytes: Arc<AtomicUsize>,
-    thread: Option<JoinHandle<()>>,
 }
 
 impl Queue {
     fn start(thread: ThreadBuilder) -> Result<Self, RtError> {
-        let (samples, waiting) = mpsc::channel();
         let waiting_bytes = Arc::<AtomicUsize>::default();
         let left = waiting_bytes.clone();
-        let thread = thread.spawn(move || move || send_waiting(&waiting, &left))?;
-        Ok(Queue { samples: Some(samples), waiting_bytes, thread: Some(thread) })
+        // Nothing wakes the thread but its samples, and the end of them.
+        let worker = Worker::start(thread, || {}, move |samples| send_waiting(&samples, &left))?;
+        Ok(Queue { worker, waiting_bytes })
     }
 
     fn has_room(&self) -> bool {
@@ -344,20 +343,7 @@ impl Queue {
     /// Never refuses: the caller checks [`has_room`](Self::has_room) before it takes samples from shared memory.
     fn push(&self, sample: QueuedSample) {
         self.waiting_bytes.fetch_add(sample.waiting_bytes(), Ordering::Relaxed);
-        if let Some(samples) = &self.samples {
-            // Ignored: the thread ends only when this is dropped.
-            let _ = samples.send(sample);
-        }
-    }
-}
-
-impl Drop for Queue {
-    /// Sends the waiting samples.
-    fn drop(&mut self) {
-        self.samples = None;
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
+        self.worker.send(sample);
     }
 }
 
