@@ -8,7 +8,6 @@ use tautline_join::{ApproximateEpsilonTime, ApproximateTime, ExactTime};
 use tautline_system::{LoadedSystem, SystemError};
 use tautline_transport::Limits;
 
-/// The join settings of the callback `name`.
 pub(crate) fn join_of(system: &LoadedSystem, name: &str) -> Result<CallbackJoin> {
     let callback = system.find(name)?;
     let (name, path) = (name.to_owned(), system.path().to_owned());

@@ -40,7 +40,6 @@ const PERIOD: Duration = Duration::from_millis(400);
 /// How often a system is tried that the machine does not keep up with.
 const ATTEMPTS: usize = 5;
 
-/// A join of all sensors.
 fn join(rng: &mut StdRng) -> Model {
     let from_one = rng.random_bool(0.3);
     let mut model = sensors(rng, 3, from_one);
@@ -120,7 +119,6 @@ enum Command {
     End,
 }
 
-/// A job of the runtime.
 #[derive(Clone)]
 struct Jobs {
     callback: usize,

@@ -123,7 +123,6 @@ fn who_is_at_its_limit_of_open_files_gets_an_error_and_catches_up() {
     assert!(part.end().success());
 }
 
-/// The greatest number of open files of this process.
 fn limit_open_files(limit: u64) {
     use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
     setrlimit(Resource::Nofile, Rlimit { current: Some(limit), ..getrlimit(Resource::Nofile) }).unwrap();

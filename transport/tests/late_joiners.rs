@@ -25,7 +25,6 @@ fn publish(publisher: &Publisher<Count>, numbers: impl IntoIterator<Item = u64>)
     }
 }
 
-/// Takes until `last` came.
 fn take_until(subscription: &Subscription<Count>, last: u64) -> Vec<u64> {
     let mut taken = Vec::new();
     wait_for(&format!("message {last}"), || {

@@ -55,7 +55,6 @@ fn client(participant: &Participant, hash: Option<&str>) -> RawClient {
     participant.create_raw_client("/robot/add", &service_type, Limits::default()).unwrap()
 }
 
-/// The nodes that there are.
 fn nodes(participant: &Participant) -> Vec<NodeInfo> {
     participant.graph().unwrap().nodes.iter().map(|node| (**node).clone()).collect()
 }

@@ -36,7 +36,6 @@ struct Flag {
     raised: bool,
 }
 
-/// Both ends of a topic.
 fn ends<T: Message>(participant: &Participant, topic: &str, qos: Qos) -> (Publisher<T>, Subscription<T>) {
     let publisher = participant.create_publisher(topic, qos, LIMITS).unwrap();
     (publisher, participant.create_subscription(topic, qos, LIMITS).unwrap())

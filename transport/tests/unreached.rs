@@ -8,7 +8,6 @@ use std::path::{Path, PathBuf};
 use support::{Count, clean, domain, folder, participants, take_all, wait_for};
 use tautline_transport::{Limits, Participant, Qos};
 
-/// A participant, and its file.
 fn participant(number: u32) -> (Participant, PathBuf) {
     let before = participants(number);
     let participant = Participant::new(number).unwrap();

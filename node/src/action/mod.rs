@@ -124,7 +124,6 @@ impl Names {
 /// Queue depth of a client's subscription to feedback, and of one goal's feedback for its reader.
 const FEEDBACK_DEPTH: usize = 1000;
 
-/// The QoS of a client's subscription to feedback.
 fn feedback_qos() -> Qos {
     Qos::keep_last(FEEDBACK_DEPTH)
 }

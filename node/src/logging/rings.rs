@@ -122,7 +122,6 @@ pub(super) struct Drain {
     batch: Vec<FixedLine>,
 }
 
-/// Lost lines, and their threads.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Lost {
     pub(super) lines: u64,

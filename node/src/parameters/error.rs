@@ -34,11 +34,7 @@ pub enum ParameterError {
     InvalidValue { text: String, reason: String },
     /// A message contains an unknown type.
     #[error("parameter '{name}': {source}")]
-    UnknownType {
-        name: String,
-        /// The type.
-        source: super::UnknownParameterType,
-    },
+    UnknownType { name: String, source: super::UnknownParameterType },
     /// A number does not fit the type of the struct's field.
     #[error("parameter '{name}': {value} does not fit: {reason}")]
     Conversion { name: String, value: ParameterValue, reason: String },
@@ -55,10 +51,7 @@ pub enum ParameterError {
     StaticType { name: String },
     /// A callback refused the values.
     #[error("refused: {reason}")]
-    Rejected {
-        /// The callback's reason.
-        reason: String,
-    },
+    Rejected { reason: String },
     /// A callback that checks parameters tried to set parameters.
     #[error(
         "parameter '{name}' cannot be changed by a callback that checks changes: do it after the change, when a reader has `changed`"

@@ -42,7 +42,6 @@ pub(crate) struct Sample {
     pub(crate) transform: Transform,
 }
 
-/// A slot for a sample.
 pub(crate) struct Slot {
     /// Number of the sample + 1; zero: none, or one is being written.
     number: AtomicU64,

@@ -166,7 +166,6 @@ pub(crate) struct TopicRoute<O: Egress> {
     flag: Arc<Flag>,
 }
 
-/// A subscription of a topic.
 struct TopicSubscription {
     subscription: Box<RawSubscription>,
     /// Losses that the subscription has reported so far.

@@ -274,7 +274,6 @@ impl FarClient for Client {
     }
 }
 
-/// A mirror that runs.
 struct Mirroring {
     world: Shared,
     passed: mpsc::Receiver<Vec<u8>>,

@@ -48,7 +48,6 @@ pub(crate) struct Model {
     snapshot: Arc<GraphSnapshot>,
 }
 
-/// The content of a participant's record.
 struct ParticipantRecord {
     /// `None`: the record is skipped.
     peer: Option<Peer>,
@@ -79,7 +78,6 @@ impl ParticipantRecord {
         self.peer.as_ref().map(Peer::pid).filter(|_| !self.is_relay)
     }
 
-    /// The numbers of all its entries.
     fn numbers(&self) -> Vec<u64> {
         let services = self.remote_services.keys();
         self.nodes

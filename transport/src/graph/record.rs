@@ -215,7 +215,6 @@ impl RemotePortRecord {
         parse(body).filter(Self::is_valid)
     }
 
-    /// Whether the record is valid.
     pub(crate) fn is_valid(&self) -> bool {
         is_absolute(&self.topic)
             && is_type(&self.type_name, self.hash.as_deref())
@@ -260,7 +259,6 @@ impl RemoteServiceRecord {
         parse(body).filter(Self::is_valid)
     }
 
-    /// Whether the record is valid.
     pub(crate) fn is_valid(&self) -> bool {
         is_absolute(&self.name) && is_type(&self.type_name, self.hash.as_deref()) && self.origin.is_valid()
     }
@@ -287,7 +285,6 @@ impl NodeRecord {
         parse(body).filter(Self::is_valid)
     }
 
-    /// Whether the record is valid.
     pub(crate) fn is_valid(&self) -> bool {
         self.name.is_valid() && is_enclave(&self.enclave) && self.origin.as_ref().is_none_or(Origin::is_valid)
     }

@@ -170,7 +170,6 @@ impl Shape {
         (self.depth + 1) * WORD_BYTES
     }
 
-    /// Bytes of the memory of both queues.
     pub(crate) fn queues_bytes(self) -> usize {
         self.submitted_bytes() + self.returned_len() * WORD_BYTES
     }

@@ -371,7 +371,6 @@ impl PublisherControl {
         self.give_back(place.queues);
     }
 
-    /// Shows a segment to peers.
     pub(crate) fn show_segment(&self, segment: &Segment) {
         if let Some(words) = self.head().segments.get(segment.id()) {
             words.sample_bytes.store(segment.sample_bytes() as u64, Ordering::Relaxed);
@@ -499,7 +498,6 @@ impl View {
         head(&self.parts[0].1)
     }
 
-    /// The mapping of the head alone.
     pub(crate) fn head_map(&self) -> MappedControl {
         MappedControl(self.parts[0].1.clone())
     }

@@ -172,7 +172,6 @@ impl OwnMemory {
         head(&self.first)
     }
 
-    /// Creates the arena.
     pub(crate) fn create_arena(&self) -> Arena {
         let memory = Region::new(&self.first, ARENA_AT, MAIN_BYTES).expect("it is part of the first bytes");
         Arena::create(ArenaId(self.id()), memory)

@@ -171,7 +171,6 @@ impl<R> PendingTable<R> {
         }
     }
 
-    /// Registers the waker of the task that waits for the outcome.
     pub(crate) fn register(&self, index: usize, waker: &core::task::Waker) {
         if let Some(registered) = self.waiters.wakers.get(index) {
             registered.register(waker);

@@ -58,7 +58,6 @@ pub(crate) fn response_limits(limits: Limits) -> Limits {
     Limits { held: held.min(Limits::MAX_HELD), ..limits }
 }
 
-/// The topics of a service's requests and responses.
 pub(crate) fn topics(service: &str) -> Result<[String; 2], TransportError> {
     if is_absolute(service) {
         return Ok([REQUESTS, RESPONSES].map(|kind| format!("{kind}{service}")));

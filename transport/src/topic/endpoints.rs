@@ -28,7 +28,6 @@ pub(crate) struct Endpoint {
     pub(crate) qos: Qos,
     /// The endpoint is a gateway's or a bridge's: it stands for endpoints on other hosts, which are listed themselves.
     pub(crate) is_relay: bool,
-    /// The endpoint is an observer.
     pub(crate) is_observer: bool,
     /// For an endpoint on another host: its tag.
     pub(crate) remote: Option<u64>,

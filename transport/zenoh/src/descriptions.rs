@@ -28,7 +28,6 @@ const SERVICE: &str = "type_description_interfaces/srv/GetTypeDescription";
 const SUFFIX: &str = "/get_type_description";
 /// Time-out of a request.
 const TIMEOUT: Duration = Duration::from_secs(3);
-/// Maximum of pending requests.
 const MAX_PENDING: usize = 64;
 /// Maximum of remembered requests that were not successful.
 const MAX_ASKED: usize = 4096;

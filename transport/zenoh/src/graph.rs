@@ -47,7 +47,6 @@ pub(crate) struct Graph {
 }
 
 impl Graph {
-    /// An empty graph of `domain`, for the session `own_zid`.
     pub(crate) fn new(domain: u32, own_zid: u128, limits: GraphLimits) -> Self {
         let (tokens, per_session, ended, refused) = Default::default();
         Graph { domain, own_zid, limits, tokens, per_session, ended, refused, is_incomplete: false }
@@ -110,7 +109,6 @@ impl Graph {
         there
     }
 
-    /// The publishers of a topic.
     pub(crate) fn publishers(&self, topic: &str) -> BTreeSet<Gid> {
         let topics = self.tokens.values().filter_map(|(_, entity)| match entity {
             RemoteEntity::Topic(end) if end.kind == Publisher && end.topic == topic => Some(end.gid),
@@ -140,7 +138,6 @@ impl Graph {
         wants
     }
 
-    /// The nodes of a topic's publishers on other hosts.
     pub(crate) fn publishing_nodes(&self, key: &TopicKey) -> impl Iterator<Item = &NodeName> {
         self.tokens()
             .filter(|token| {
@@ -181,7 +178,6 @@ impl Graph {
         self.tokens.values().map(|(token, _)| token)
     }
 
-    /// The key expressions of all stored tokens.
     pub(crate) fn keys(&self) -> impl Iterator<Item = &str> {
         self.tokens.keys().map(String::as_str)
     }

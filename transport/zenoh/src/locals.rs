@@ -151,7 +151,6 @@ fn type_id(
     Ok(TypeId { name, hash })
 }
 
-/// The key of a topic or service on the network.
 pub(crate) fn wire_key(domain: u32, key: &tautline_relay::TopicKey) -> Result<TopicKey, String> {
     let type_id =
         || Some(TypeId { name: key.type_name.parse().ok()?, hash: key.type_hash.as_ref()?.parse().ok()? });

@@ -62,7 +62,6 @@ pub(crate) fn start(
 /// The identity of an outgoing publisher.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Identity {
-    /// Its GID on the network.
     pub(crate) wire_gid: Gid,
     /// Quality of service.
     pub(crate) qos: WireQos,

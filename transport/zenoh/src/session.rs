@@ -15,32 +15,20 @@ use zenoh::{Session, Wait};
 /// Why the session could not open.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say it")]
 pub enum SessionError {
     /// The opening thread could not get its priority.
     #[error("threads of the network: {0}")]
     Threads(#[from] RtError),
     /// Zenoh failed.
     #[error("Zenoh does not start: {reason}; listening on {listen:?}")]
-    Open {
-        /// Zenoh's error.
-        reason: String,
-        /// The endpoints to listen on.
-        listen: Vec<String>,
-    },
+    Open { reason: String, listen: Vec<String> },
     /// The socket may be open to other users.
     #[error("{} cannot be given mode 600, so that only this user reaches it: {source}", path.display())]
-    Socket {
-        /// Its path.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
+    Socket { path: PathBuf, source: io::Error },
     /// The caller gave up.
     #[error("opening the session was given up before there was a link to any of {connect:?}")]
-    GivenUp {
-        /// The endpoints to connect to.
-        connect: Vec<String>,
-    },
+    GivenUp { connect: Vec<String> },
 }
 
 /// Interval of calls to `go_on`.

@@ -319,7 +319,6 @@ impl Net {
         Net { mirror: Mirror::new(Side::Network, rules), here: Vec::new(), there: Vec::new() }
     }
 
-    /// Sets the endpoints here.
     fn here(&mut self, ends: &[TopicEndpoint]) -> Vec<String> {
         self.here = ends.iter().cloned().map(stated).collect();
         self.look()

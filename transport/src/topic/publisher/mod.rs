@@ -172,7 +172,6 @@ impl RawPublisher {
         self.core.gid
     }
 
-    /// This publisher's id in trace events.
     pub(crate) fn trace_id(&self) -> tautline_trace::ObjectId {
         self.trace.id()
     }

@@ -29,7 +29,6 @@ const UNSEEN: usize = 64;
 pub(crate) struct SubscriptionRole {
     /// It is a relay's: its messages are passed on.
     pub(crate) is_relay: bool,
-    /// The subscription is an observer.
     pub(crate) is_observer: bool,
     /// For a client's responses: the number of the port of its requests.
     pub(crate) partner: Option<u64>,
@@ -47,7 +46,6 @@ pub(crate) struct SubscriptionCore {
     /// For a client's responses: the number of the port of its requests.
     partner: Option<u64>,
     pub(crate) slot: Arc<Slot>,
-    /// Publishers that match.
     pub(crate) matched: Arc<MatchCounts>,
     /// Samples of ended publishers that no take has seen and none will.
     pub(crate) forgotten: AtomicU64,
@@ -238,7 +236,6 @@ impl SubscriptionCore {
         Ok(true)
     }
 
-    /// Whether this publisher is expected.
     pub(crate) fn expects(&self, publisher: Gid) -> bool {
         self.setup.lock().expected.iter().any(|expected| expected.gid == publisher)
     }

@@ -70,7 +70,6 @@ pub(crate) struct PublisherCore {
     /// The number of the last sample that was published.
     pub(crate) published: AtomicU64,
     pub(crate) traffic: Traffic,
-    /// Subscriptions that match.
     pub(crate) matched: Arc<MatchCounts>,
     /// The lock inherits priority: the janitor holds it while it maps memory, and a publishing thread may be a real-time one.
     setup: PiMutex<Setup>,

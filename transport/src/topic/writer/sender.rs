@@ -59,7 +59,6 @@ struct SendHalf {
     last: u64,
     /// It gets the samples kept for late joiners.
     wants_history: bool,
-    /// The number of samples submitted so far.
     submitted: u64,
     /// The number of loans since its returned samples were last taken back.
     unlooked: usize,
