@@ -3,59 +3,14 @@
 
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use futures::executor::LocalPool;
 use futures::future;
 use futures::stream::StreamExt;
 use futures::task::LocalSpawnExt;
-use r2r::QosProfile;
-use r2r::std_msgs::msg::UInt64;
-
-/// `examples/subscriber.rs` of r2r 0.9.7: a task forwards every other message to a second topic of the same node.
-#[test]
-fn publishers_subscriptions_and_spin_once_in_one_thread() {
-    let mut node = r2r::Node::create(super::context(205, ""), "testnode", "").unwrap();
-    let mut sub = node.subscribe::<UInt64>("/topic", QosProfile::default()).unwrap();
-    let p = node.create_publisher::<UInt64>("/topic2", QosProfile::default()).unwrap();
-
-    let mut pool = LocalPool::new();
-    let spawner = pool.spawner();
-    spawner
-        .spawn_local(async move {
-            let mut x: i32 = 0;
-            while let Some(msg) = sub.next().await {
-                if x % 2 == 0 {
-                    p.publish(&UInt64 { data: msg.data * 10 }).unwrap();
-                }
-                x += 1;
-            }
-        })
-        .unwrap();
-
-    let sub2 = node.subscribe::<UInt64>("/topic2", QosProfile::default()).unwrap();
-    let heard = Rc::new(RefCell::new(Vec::new()));
-    let log = heard.clone();
-    spawner
-        .spawn_local(async move {
-            sub2.for_each(|msg| {
-                log.borrow_mut().push(msg.data);
-                future::ready(())
-            })
-            .await
-        })
-        .unwrap();
-
-    let source = node.create_publisher::<UInt64>("/topic", QosProfile::default()).unwrap();
-    for data in 1..=5 {
-        source.publish(&UInt64 { data }).unwrap();
-    }
-    while heard.borrow().len() < 3 {
-        node.spin_once(Duration::from_millis(100));
-        pool.run_until_stalled();
-    }
-    assert_eq!(*heard.borrow(), [10, 30, 50]);
-}
+use r2r::{Clock, ClockType, QosProfile};
 
 /// Messages by r2r's paths, owned and of any length; beside them what r2r lacks: the same read where they lie.
 #[test]
@@ -117,77 +72,6 @@ fn messages_of_any_length_by_their_ros_paths() {
     assert_eq!(in_place, &[("left".to_owned(), 0.5), ("right".to_owned(), -0.5)]);
 }
 
-/// `examples/rostopic_echo.rs` of r2r 0.9.7, its topic and type given: messages go on as they come, as JSON.
-#[test]
-fn an_echo_of_a_type_known_by_name() {
-    let mut node = r2r::Node::create(super::context(190, ""), "echo", "").unwrap();
-    let (topic, type_name) = ("/thetopic", "std_msgs/msg/String");
-    let mut pool = LocalPool::new();
-    let spawner = pool.spawner();
-
-    let echo = &format!("{}_echo", topic);
-    let echo_pub = node.create_publisher_untyped(echo, type_name, QosProfile::default()).unwrap();
-    let sub = node.subscribe_untyped(topic, type_name, QosProfile::default()).unwrap();
-    let printed = Rc::new(RefCell::new(String::new()));
-    let print = printed.clone();
-    spawner
-        .spawn_local(async move {
-            sub.for_each(|msg| {
-                match msg {
-                    Ok(msg) => {
-                        let s = serde_json::to_string_pretty(&msg).unwrap();
-                        *print.borrow_mut() += &format!("{}\n---\n", &s);
-                        echo_pub.publish(msg).unwrap();
-                    }
-                    Err(err) => panic!("Could not parse msg. {}", err),
-                }
-                future::ready(())
-            })
-            .await
-        })
-        .unwrap();
-
-    let mut echoed = node.subscribe::<r2r::std_msgs::msg::String>(echo, QosProfile::default()).unwrap();
-    let publisher =
-        node.create_publisher::<r2r::std_msgs::msg::String>(topic, QosProfile::default()).unwrap();
-    let message = r2r::std_msgs::msg::String { data: "taut".into() };
-    publisher.publish(&message).unwrap();
-    while printed.borrow().is_empty() {
-        node.spin_once(Duration::from_millis(100));
-        pool.run_until_stalled();
-    }
-    assert_eq!(*printed.borrow(), "{\n  \"data\": \"taut\"\n}\n---\n");
-    assert_eq!(pool.run_until(echoed.next()), Some(message));
-}
-
-/// `examples/tokio_raw_publisher.rs` and `tokio_raw_subscriber.rs` of r2r 0.9.7, on a pool. (`to_cdr` and `from_cdr` are
-/// r2r's `to_serialized_bytes` and `from_serialized_bytes`.)
-#[test]
-fn raw_bytes_there_and_back() {
-    use r2r::Message;
-    let mut node = r2r::Node::create(super::context(190, ""), "testnode", "").unwrap();
-    let publisher =
-        node.create_publisher_untyped("/topic", "std_msgs/msg/String", QosProfile::default()).unwrap();
-    let sub = node.subscribe_raw("/topic", "std_msgs/msg/String", QosProfile::default()).unwrap();
-    for x in 5..8 {
-        let msg = r2r::std_msgs::msg::String { data: format!("Hello{:>width$}", "World", width = x) };
-        publisher.publish_raw(&msg.to_cdr().unwrap()).unwrap();
-    }
-    let heard = Rc::new(RefCell::new(Vec::new()));
-    let log = heard.clone();
-    let mut pool = LocalPool::new();
-    let task = sub.for_each(move |msg| {
-        log.borrow_mut().push(r2r::std_msgs::msg::String::from_cdr(&msg).unwrap().data);
-        future::ready(())
-    });
-    pool.spawner().spawn_local(task).unwrap();
-    while heard.borrow().len() < 3 {
-        node.spin_once(Duration::from_millis(100));
-        pool.run_until_stalled();
-    }
-    assert_eq!(*heard.borrow(), ["HelloWorld", "Hello World", "Hello  World"]);
-}
-
 async fn timer_task(mut t: r2r::Timer) -> Result<Vec<Duration>, Box<dyn std::error::Error>> {
     let mut elapsed = Vec::new();
     loop {
@@ -242,4 +126,17 @@ fn spin_once_returns_without_events_and_after_shutdown() {
     context.shutdown();
     node.spin_once(Duration::from_secs(3600));
     node.spin().unwrap();
+}
+
+#[test]
+fn a_clock_of_ones_own_shows_the_systems_time_after_the_simulation() {
+    let mut node = r2r::Node::create(super::context(165, ""), "testnode", "").unwrap();
+    let time_source = node.get_time_source();
+    time_source.enable_sim_time(&mut node).unwrap();
+    time_source.disable_sim_time();
+    let own = Arc::new(Mutex::new(Clock::create(ClockType::RosTime).unwrap()));
+    time_source.attach_ros_clock(Arc::downgrade(&own)).unwrap();
+    let mut own = own.lock().unwrap();
+    assert!(own.get_now().unwrap().as_secs() > 1_600_000_000);
+    assert_eq!(format!("{:?}", own.get_clock_type()), "RosTime");
 }

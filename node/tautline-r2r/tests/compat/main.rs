@@ -3,7 +3,6 @@
 
 extern crate tautline_r2r as r2r;
 
-mod clocks;
 mod idioms;
 mod parameters;
 
