@@ -5,7 +5,7 @@ mod common;
 
 use common::{Number, context, spin};
 use futures::StreamExt;
-use tautline::{Limits, LoanError, Node, PublishError, Qos, Subscription, TakeError};
+use tautline::{Limits, LoanError, Node, Qos, Subscription, TakeError};
 
 fn node(domain: u32, name: &str, namespace: &str) -> Node {
     Node::create(context(domain), name, namespace).unwrap()
@@ -66,29 +66,6 @@ fn bad_names_are_refused_with_the_reason() {
             assert!(message.contains(reason), "{message}");
         }
     }
-}
-
-#[test]
-fn keep_all_refuses_to_overwrite_and_keep_last_overwrites() {
-    let mut node = node(214, "keeper", "");
-    let all = Qos::keep_all(3);
-    let publisher = node.create_publisher::<Number>("/all", all).unwrap();
-    let subscription = node.subscribe::<Number>("/all", all).unwrap();
-    let publish = |value| publisher.publish(&Number { value });
-    let results = (1..=5).map(publish).collect::<Vec<_>>();
-    assert_eq!(results, [Ok(()), Ok(()), Ok(()), Err(PublishError::Full), Err(PublishError::Full)]);
-    assert_eq!(subscription.try_take().unwrap().unwrap().value, 1);
-    publish(6).unwrap();
-    assert_eq!(take_all(&subscription), [2, 3, 6]);
-    assert_eq!(subscription.counters().lost(), 0);
-
-    let last = Qos::keep_last(3);
-    let publisher = node.create_publisher::<Number>("/last", last).unwrap();
-    let subscription = node.subscribe::<Number>("/last", last).unwrap();
-    (1..=5).for_each(|value| publisher.publish(&Number { value }).unwrap());
-    assert_eq!(take_all(&subscription), [3, 4, 5]);
-    let counters = subscription.counters();
-    assert_eq!((counters.received(), counters.lost(), counters.max_queue()), (3, 2, 3));
 }
 
 #[test]
