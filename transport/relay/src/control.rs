@@ -627,7 +627,7 @@ impl<F: FarSide> MirrorControl<F> {
         made: Vec<(Gid, <F::Egress as Egress>::Sender)>,
     ) -> Result<(), String> {
         let subscription = self.subscribe(key, outward).map_err(|error| error.to_string())?;
-        let counters = self.stats.counters(key.clone(), Direction::Out);
+        let counters = self.stats.counters((key.clone(), Direction::Out));
         let limiter = Limiter::new(outward.min_period);
         self.relay.start_topic(key.clone(), subscription, Outbound { counters, limiter }, made);
         self.out.insert(key.clone(), outward.clone());
@@ -661,7 +661,7 @@ impl<F: FarSide> MirrorControl<F> {
         };
         let has_port = !matches!(port, IngressPort::None);
         let senders = senders(&self.publishers, key, &inward.publishers, has_port);
-        let counters = self.stats.counters(key.topic.clone(), Direction::In);
+        let counters = self.stats.counters((key.topic.clone(), Direction::In));
         let limiter = Limiter::new(inward.min_period);
         let ingress = Ingress::new(port, schema, counters, limiter, senders.clone(), F::DELIVERY);
         if let Err(reason) = self.far.start_in(key, inward, ingress) {
@@ -696,7 +696,7 @@ impl<F: FarSide> MirrorControl<F> {
         let report = Report {
             uptime_s: self.started.elapsed().as_secs_f64(),
             problems,
-            topics: self.stats.read(elapsed),
+            topics: self.stats.stats(elapsed),
             service_problems: self.services.problems(),
             services: self.services.read(elapsed),
         };

@@ -462,7 +462,7 @@ mod tests {
         assert_eq!(claims, 2, "a sample comes back with the next take");
         ingress.refuse(&source(one, 11), Refused::Rate);
         ingress.receive(&image[..], source(one, 12));
-        let reading = ingress.counters().read();
+        let reading = ingress.counters().read(Duration::ZERO);
         assert_eq!((reading.messages, reading.lost, reading.dropped.values().sum()), (11, 0, 1_u64));
     }
 
@@ -489,8 +489,9 @@ mod tests {
             senders(&[(one, None)]),
             DELIVERY,
         );
-        let dropped =
-            |reason: Refused| counters.read().dropped.get(&reason.to_string()).copied().unwrap_or(0);
+        let dropped = |reason: Refused| {
+            counters.read(Duration::ZERO).dropped.get(&reason.to_string()).copied().unwrap_or(0)
+        };
         let claimed = [0xFF, 0xFF, 0xFF, 0x7F, b'a', 0];
         let nonsense = [&claimed[..], &[], &[3, 0, 0, 0, b'a', b'b'], &[2, 0, 0, 0, 0xFF, 0], &[0; 40]];
         for (number, body) in (1..).zip(nonsense) {
@@ -506,7 +507,7 @@ mod tests {
         ingress.receive(&text[..], source(other, 1));
         ingress.receive(&Pieces(&text), source(one, 4));
         assert_eq!([take(), take(), take()], [Some(text.to_vec()), Some(text.to_vec()), None]);
-        assert_eq!(counters.read().lost, 2);
+        assert_eq!(counters.read(Duration::ZERO).lost, 2);
 
         // Not known yet: held, as far as there is room.
         for number in 1..=3 {

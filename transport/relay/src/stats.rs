@@ -41,15 +41,62 @@ const CLOCKS_AGREE_NS: i64 = 10_000_000_000;
 /// How long a topic or service that has ended stays in the statistics.
 const ENDED_TIME: Duration = Duration::from_secs(60);
 
-/// The time since the end of a topic or service.
-#[derive(Debug, Default)]
-pub(crate) struct SinceEnd(Duration);
+/// The counters of topics or services by key. Beyond `MOST` keys, those that have ended are forgotten.
+#[derive(Debug)]
+pub(crate) struct StatsTable<K, C, const MOST: usize>(BTreeMap<K, Counted<C>>);
 
-impl SinceEnd {
-    /// Adds the time `elapsed`, unless the topic or service is in use. Returns whether it stays in the statistics.
-    pub(crate) fn is_kept(&mut self, is_used: bool, elapsed: Duration) -> bool {
-        self.0 = if is_used { Duration::ZERO } else { self.0.saturating_add(elapsed) };
-        self.0 < ENDED_TIME
+#[derive(Debug, Default)]
+struct Counted<C> {
+    counters: Arc<C>,
+    since_end: Duration,
+}
+
+impl<C> Counted<C> {
+    fn is_used(&self) -> bool {
+        Arc::strong_count(&self.counters) > 1
+    }
+}
+
+impl<K, C, const MOST: usize> Default for StatsTable<K, C, MOST> {
+    fn default() -> Self {
+        StatsTable(BTreeMap::new())
+    }
+}
+
+impl<K: Ord, C: Default, const MOST: usize> StatsTable<K, C, MOST> {
+    /// The counters of a topic or service, new or existing. It is in use as long as the result is held.
+    pub(crate) fn counters(&mut self, key: K) -> Arc<C> {
+        if self.0.len() >= MOST {
+            self.0.retain(|_, counted| counted.is_used());
+        }
+        self.0.entry(key).or_default().counters.clone()
+    }
+
+    /// Reads all counters with `read`, which is told whether they are in use, `elapsed` after the last call. A minute after its end a
+    /// topic or service is forgotten.
+    pub(crate) fn read<S>(&mut self, elapsed: Duration, read: impl Fn(&K, &C, bool) -> S) -> Vec<S> {
+        self.0.retain(|_, counted| {
+            let since_end = counted.since_end.saturating_add(elapsed);
+            counted.since_end = if counted.is_used() { Duration::ZERO } else { since_end };
+            counted.since_end < ENDED_TIME
+        });
+        self.0.iter().map(|(key, counted)| read(key, &counted.counters, counted.is_used())).collect()
+    }
+}
+
+/// Maximum of topics, in each direction one.
+const MOST_TOPICS: usize = 4096;
+
+/// The counters of all topics, by name and direction.
+pub(crate) type TopicStatsTable<N, D> = StatsTable<(N, D), TopicCounters, MOST_TOPICS>;
+
+impl<N: Clone + Ord, D: Copy + Ord> TopicStatsTable<N, D> {
+    /// The statistics of all topics, with rates over `elapsed`, the time since the last call.
+    pub(crate) fn stats(&mut self, elapsed: Duration) -> Vec<TopicStats<N, D>> {
+        self.read(elapsed, |(name, direction), counters, active| {
+            let reading = counters.read(elapsed);
+            TopicStats { name: name.clone(), direction: *direction, active, reading }
+        })
     }
 }
 
@@ -61,6 +108,8 @@ pub struct TopicCounters(PiMutex<Counts>);
 struct Counts {
     /// The counters, without rates and latency.
     reading: Reading,
+    /// Messages and bytes at the last reading.
+    before: (u64, u64),
     /// Latencies in microseconds, up to the 10 s of `CLOCKS_AGREE_NS`.
     latency_us: Histogram<u64>,
 }
@@ -70,7 +119,8 @@ impl Default for TopicCounters {
         // hdrhistogram accepts these constant bounds; `new` alone would grow without bound.
         let histogram = Histogram::new_with_bounds(1, (CLOCKS_AGREE_NS / 1000) as u64, 2);
         let latency_us = histogram.unwrap_or_else(|_| unreachable!("1 to 10^7 in 2 digits"));
-        TopicCounters(PiMutex::new(Counts { reading: Reading::default(), latency_us }))
+        let (reading, before) = Default::default();
+        TopicCounters(PiMutex::new(Counts { reading, before, latency_us }))
     }
 }
 
@@ -78,7 +128,7 @@ impl TopicCounters {
     /// Counts a forwarded message with a body of `bytes`, published at `source_ns` since 1970.
     pub fn passed(&self, bytes: usize, source_ns: i64) {
         let latency_ns = wall_ns().saturating_sub(source_ns);
-        let Counts { reading, latency_us } = &mut *self.0.lock();
+        let Counts { reading, latency_us, .. } = &mut *self.0.lock();
         reading.messages += 1;
         reading.bytes += bytes as u64;
         if (0..CLOCKS_AGREE_NS).contains(&latency_ns) {
@@ -98,15 +148,20 @@ impl TopicCounters {
         *self.0.lock().reading.dropped.entry(reason.to_string()).or_default() += 1;
     }
 
-    /// Reads the counters. Rates are not set, because they need the previous reading.
-    pub(crate) fn read(&self) -> Reading {
-        let Counts { reading, latency_us: latency } = &*self.0.lock();
+    /// Reads the counters, with rates over `elapsed`, the time since the last call; without rates if that is zero.
+    pub(crate) fn read(&self, elapsed: Duration) -> Reading {
+        let Counts { reading, before, latency_us: latency } = &mut *self.0.lock();
+        let (messages, bytes) = std::mem::replace(before, (reading.messages, reading.bytes));
         let latency_us = (!latency.is_empty()).then(|| Latency {
             p50: latency.value_at_quantile(0.5),
             p99: latency.value_at_quantile(0.99),
             max: latency.max(),
         });
-        Reading { latency_us, ..reading.clone() }
+        let seconds = elapsed.as_secs_f64();
+        let rate = |counted: u64| if elapsed.is_zero() { 0.0 } else { counted as f64 / seconds };
+        let messages_per_s = rate(reading.messages - messages);
+        let bytes_per_s = rate(reading.bytes - bytes);
+        Reading { latency_us, messages_per_s, bytes_per_s, ..reading.clone() }
     }
 }
 
@@ -198,61 +253,6 @@ impl<N, D> TopicStats<N, D> {
     }
 }
 
-/// The counters of all topics, by name and direction.
-#[derive(Debug)]
-pub struct TopicStatsTable<N, D>(BTreeMap<(N, D), Counted>);
-
-#[derive(Debug, Default)]
-struct Counted {
-    counters: Arc<TopicCounters>,
-    /// Messages and bytes at the last reading.
-    before: (u64, u64),
-    since_end: SinceEnd,
-}
-
-impl<N, D> Default for TopicStatsTable<N, D> {
-    fn default() -> Self {
-        TopicStatsTable(BTreeMap::new())
-    }
-}
-
-impl<N: Clone + Ord, D: Copy + Ord> TopicStatsTable<N, D> {
-    /// Maximum of topics; beyond it, inactive ones are forgotten.
-    const MOST: usize = 4096;
-
-    /// The counters of a topic, new or existing. The topic is active as long as the result is held.
-    pub fn counters(&mut self, name: N, direction: D) -> Arc<TopicCounters> {
-        if self.0.len() >= Self::MOST {
-            self.0.retain(|_, counted| counted.is_active());
-        }
-        self.0.entry((name, direction)).or_default().counters.clone()
-    }
-
-    /// Reads all counters, with rates over `elapsed`, the time since the last call. A minute after its end a topic is forgotten.
-    pub fn read(&mut self, elapsed: Duration) -> Vec<TopicStats<N, D>> {
-        self.0.retain(|_, counted| {
-            counted.since_end.is_kept(Arc::strong_count(&counted.counters) > 1, elapsed)
-        });
-        let read = |((name, direction), counted): (&(N, D), &mut Counted)| {
-            let mut reading = counted.counters.read();
-            let (messages, bytes) = std::mem::replace(&mut counted.before, (reading.messages, reading.bytes));
-            if !elapsed.is_zero() {
-                let seconds = elapsed.as_secs_f64();
-                reading.messages_per_s = (reading.messages - messages) as f64 / seconds;
-                reading.bytes_per_s = (reading.bytes - bytes) as f64 / seconds;
-            }
-            TopicStats { name: name.clone(), direction: *direction, active: counted.is_active(), reading }
-        };
-        self.0.iter_mut().map(read).collect()
-    }
-}
-
-impl Counted {
-    fn is_active(&self) -> bool {
-        Arc::strong_count(&self.counters) > 1
-    }
-}
-
 /// `out 4 topics 1.2 MB/s 100/s | in 1 topic 80 kB/s 10/s | lost 0, dropped 0`; `ways` has the names of the directions.
 pub fn passing<N, D: Copy + PartialEq>(
     topics: &[TopicStats<N, D>],
@@ -313,25 +313,25 @@ mod tests {
         for source in [now + 3_600_000_000_000, 0, i64::MIN, i64::MAX] {
             counters.passed(10, source);
         }
-        let reading = counters.read();
+        let reading = counters.read(Duration::ZERO);
         assert_eq!((reading.messages, reading.bytes, reading.clocks_differ), (4, 40, 4));
         assert_eq!(reading.latency_us, None);
         counters.passed(10, now - 1_000_000_000);
-        let latency = counters.read().latency_us.unwrap();
+        let latency = counters.read(Duration::ZERO).latency_us.unwrap();
         assert!(latency.max >= 1_000_000 && latency.p50 >= 990_000, "{latency:?}");
     }
 
     #[test]
     fn rates_the_line_and_json() {
         let mut stats = TopicStatsTable::default();
-        let counters = stats.counters("/x", "in");
+        let counters = stats.counters(("/x", "in"));
         counters.passed(100, 0);
-        stats.read(Duration::ZERO);
+        stats.stats(Duration::ZERO);
         counters.passed(100, 0);
         counters.passed(100, 0);
         counters.lost(2);
         counters.dropped("rate limit");
-        let after = stats.read(Duration::from_millis(500));
+        let after = stats.stats(Duration::from_millis(500));
         let reading = &after[0].reading;
         assert_eq!((reading.messages, reading.messages_per_s, reading.bytes_per_s), (3, 4.0, 400.0));
         let line = passing(&after, [("out", "to ROS"), ("in", "from ROS")]).to_string();
@@ -352,20 +352,20 @@ mod tests {
     #[test]
     fn of_too_many_topics_those_that_go_on_are_counted() {
         let mut stats = TopicStatsTable::default();
-        let goes_on = stats.counters(7, ());
-        (0..=TopicStatsTable::<usize, ()>::MOST).for_each(|topic| drop(stats.counters(topic, ())));
+        let goes_on = stats.counters((7, ()));
+        (0..=MOST_TOPICS).for_each(|topic| drop(stats.counters((topic, ()))));
         let left: Vec<_> =
-            stats.read(Duration::ZERO).into_iter().map(|topic| (topic.name, topic.active)).collect();
-        assert_eq!(left, [(7, true), (TopicStatsTable::<usize, ()>::MOST, false)]);
+            stats.stats(Duration::ZERO).into_iter().map(|topic| (topic.name, topic.active)).collect();
+        assert_eq!(left, [(7, true), (MOST_TOPICS, false)]);
         drop(goes_on);
     }
 
     #[test]
     fn a_topic_that_has_ended_goes_after_a_while() {
         let mut stats = TopicStatsTable::default();
-        let (ends, goes_on) = (stats.counters("/ends", ()), stats.counters("/goes_on", ()));
+        let (ends, goes_on) = (stats.counters(("/ends", ())), stats.counters(("/goes_on", ())));
         let mut left = |elapsed| -> Vec<_> {
-            stats.read(elapsed).into_iter().map(|topic| (topic.name, topic.active)).collect()
+            stats.stats(elapsed).into_iter().map(|topic| (topic.name, topic.active)).collect()
         };
         assert_eq!(left(ENDED_TIME), [("/ends", true), ("/goes_on", true)]);
         drop(ends);

@@ -106,7 +106,7 @@ impl RoutesApplied {
 /// State shared by the thread and its owner.
 #[derive(Default)]
 struct ExchangeState {
-    stats: ServiceStatsTable,
+    stats: PiMutex<ServiceStatsTable>,
     /// Services that could not be opened, and why.
     problems: PiMutex<BTreeMap<String, String>>,
 }
@@ -172,7 +172,7 @@ impl<F: FarServices> Services<F> {
 
     /// Statistics of all services, `elapsed` after the last call.
     pub fn read(&self, elapsed: Duration) -> Vec<ServiceStats<TopicKey, Direction>> {
-        self.state.stats.read(elapsed)
+        self.state.stats.lock().stats(elapsed)
     }
 }
 
@@ -269,7 +269,7 @@ impl<F: FarServices> Exchange<F> {
         self.state.problems.lock().clear();
         for (key, service) in &routes.offered {
             if !self.offered.contains_key(key) {
-                let counters = self.state.stats.counters(key, Direction::Out);
+                let counters = self.state.stats.lock().counters((key.clone(), Direction::Out));
                 let (participant, flag) = (&self.participant, Flag::new(self.waker.clone()));
                 let offered = self.far.offer(key, service, with).and_then(|(service_type, open)| {
                     Offered::open((key, service), service_type, participant, counters, flag, open)
@@ -284,7 +284,7 @@ impl<F: FarServices> Exchange<F> {
             if !self.sought.contains_key(key) {
                 match self.far.seek(key, service) {
                     Ok((service_type, client)) => {
-                        let counters = self.state.stats.counters(key, Direction::In);
+                        let counters = self.state.stats.lock().counters((key.clone(), Direction::In));
                         let flag = Flag::new(self.waker.clone());
                         let sought =
                             Sought::new(key, service_type, client, &self.participant, counters, flag);

@@ -3,10 +3,9 @@
 
 use crate::mirror::TopicKey;
 use crate::rules::Direction;
-use crate::stats::SinceEnd;
+use crate::stats::StatsTable;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::sync::Arc;
 use std::time::Duration;
 use tautline_rt::PiMutex;
 
@@ -51,6 +50,11 @@ struct Counts {
 }
 
 impl ServiceCounters {
+    fn read(&self, (key, direction): &(TopicKey, Direction)) -> ServiceStats<TopicKey, Direction> {
+        let Counts { active, answered, failed } = self.0.lock().clone();
+        ServiceStats { name: key.clone(), direction: *direction, active, answered, failed }
+    }
+
     pub(super) fn answered(&self) {
         self.0.lock().answered += 1;
     }
@@ -75,39 +79,12 @@ impl ServiceCounters {
     }
 }
 
-#[derive(Debug, Default)]
-pub(super) struct ServiceStatsTable(PiMutex<BTreeMap<(TopicKey, Direction), Counted>>);
-
-#[derive(Debug, Default)]
-struct Counted {
-    counters: Arc<ServiceCounters>,
-    since_end: SinceEnd,
-}
-
-impl Counted {
-    fn is_used(&self) -> bool {
-        Arc::strong_count(&self.counters) > 1
-    }
-}
+pub(super) type ServiceStatsTable = StatsTable<(TopicKey, Direction), ServiceCounters, MOST_SERVICES>;
 
 impl ServiceStatsTable {
-    pub(super) fn counters(&self, key: &TopicKey, direction: Direction) -> Arc<ServiceCounters> {
-        let mut all = self.0.lock();
-        if all.len() >= MOST_SERVICES {
-            all.retain(|_, counted| counted.is_used());
-        }
-        all.entry((key.clone(), direction)).or_default().counters.clone()
-    }
-
-    /// Reads all counters, `elapsed` after the last call. A minute after its end a service is forgotten.
-    pub(super) fn read(&self, elapsed: Duration) -> Vec<ServiceStats<TopicKey, Direction>> {
-        let mut all = self.0.lock();
-        all.retain(|_, counted| counted.since_end.is_kept(counted.is_used(), elapsed));
-        let stats = |((key, direction), counted): (&(TopicKey, Direction), &Counted)| {
-            let Counts { active, answered, failed } = counted.counters.0.lock().clone();
-            ServiceStats { name: key.clone(), direction: *direction, active, answered, failed }
-        };
-        all.iter().map(stats).collect()
+    /// The statistics of all services, `elapsed` after the last call.
+    pub(super) fn stats(&mut self, elapsed: Duration) -> Vec<ServiceStats<TopicKey, Direction>> {
+        self.read(elapsed, |key, counters, _| counters.read(key))
     }
 }
 
@@ -115,38 +92,19 @@ impl ServiceStatsTable {
 mod tests {
     use super::*;
 
-    fn counters_of(stats: &ServiceStatsTable, topic: impl Into<String>) -> Arc<ServiceCounters> {
-        let (topic, far_topic, type_name) = (topic.into(), "/b".into(), "c/srv/D".into());
-        stats.counters(&TopicKey { topic, far_topic, type_name, type_hash: None }, Direction::Out)
-    }
-
-    #[test]
-    fn of_too_many_services_those_that_go_on_are_counted() {
-        let stats = ServiceStatsTable::default();
-        // It seeks its server.
-        let goes_on = counters_of(&stats, "/a");
-        (1..=MOST_SERVICES).for_each(|number| drop(counters_of(&stats, format!("/b{number}"))));
-        goes_on.answered();
-        let left = stats.read(Duration::ZERO);
-        let left: Vec<_> = left.iter().map(|service| (&*service.name.topic, service.answered)).collect();
-        assert_eq!(left, [("/a", 1), (&*format!("/b{MOST_SERVICES}"), 0)]);
-    }
-
     #[test]
     fn reasons_do_not_grow_without_end() {
-        let stats = ServiceStatsTable::default();
-        let counters = counters_of(&stats, "/a");
+        let mut stats = ServiceStatsTable::default();
+        let (topic, far_topic, type_name) = ("/a".into(), "/b".into(), "c/srv/D".into());
+        let key = TopicKey { topic, far_topic, type_name, type_hash: None };
+        let counters = stats.counters((key, Direction::Out));
         for index in 0..100 {
             counters.failed(index % 50);
         }
         counters.answered();
-        let all = stats.read(Duration::ZERO);
+        let all = stats.stats(Duration::ZERO);
         let ServiceStats { answered, failed, active, .. } = &all[0];
         assert_eq!((all.len(), *answered, *active, failed.len()), (1, 1, false, MOST_REASONS + 1));
         assert_eq!((failed["0"], failed.values().sum::<u64>()), (2, 100));
-        let hour = Duration::from_secs(3600);
-        assert_eq!(stats.read(hour).len(), 1);
-        drop(counters);
-        assert_eq!(stats.read(hour).len(), 0, "it has ended");
     }
 }
