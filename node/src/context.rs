@@ -23,8 +23,7 @@ use tautline_system::{
     core_time_of_environment, environment, realtime_of_environment, switch_of_environment,
 };
 use tautline_trace::TraceSettings;
-use tautline_transport::Participant;
-use tautline_transport::Qos;
+use tautline_transport::{Participant, Qos};
 
 /// Membership of a domain, with the sampler and the callback threads of its nodes. A clone is the same context.
 ///

@@ -38,8 +38,7 @@ use tautline_executor::{CallbackHandle, CallbackOptions};
 use tautline_msgs::time_ns;
 use tautline_ros_msgs::geometry_msgs::msg;
 use tautline_ros_msgs::tf2_msgs::msg::TFMessage;
-use tautline_transport::Qos;
-use tautline_transport::{PublishError, Publisher, Sample};
+use tautline_transport::{PublishError, Publisher, Qos, Sample};
 
 pub use tautline_tf::{
     Buffer, BufferCounters, Frame, FrameId, FrameInfo, FrameName, Kind, Limits, LimitsError, LookupError,

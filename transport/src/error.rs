@@ -3,9 +3,8 @@
 
 use crate::names::{REQUESTS, RESPONSES};
 use rustix::io::Errno;
-use std::fmt;
-use std::io;
 use std::path::PathBuf;
+use std::{fmt, io};
 use tautline_doorbell::DoorbellError;
 use tautline_msgs::cdr::{DecodeError, EncodeError};
 

@@ -122,9 +122,7 @@ impl<T: Action> Server<T> {
         waiting.into_iter().for_each(|reply| respond::<T>(reply, &body));
         Ok(())
     }
-}
 
-impl<T: Action> Server<T> {
     /// Responds to a request for a result, now or when the goal has one.
     fn answer(&self, request: ServiceRequest<T::GetResult>) {
         let (message, reply) = request.into_parts();
@@ -150,9 +148,7 @@ impl<T: Action> Server<T> {
             tracing::warn!("{error}");
         }
     }
-}
 
-impl<T: Action> Server<T> {
     /// Publishes the status of all goals. Not called under the lock of the state, which goals' handles take.
     fn publish_status(&self) {
         let publisher = self.status_of_all.lock();

@@ -11,8 +11,7 @@ use std::sync::{Arc, Mutex, MutexGuard, TryLockError};
 use tautline_msgs::Message;
 use tautline_ros_msgs::lifecycle_msgs::msg;
 use tautline_rt::clock::wall_ns;
-use tautline_transport::Qos;
-use tautline_transport::{Gate, Publisher};
+use tautline_transport::{Gate, Publisher, Qos};
 
 /// The callbacks of a managed node's transitions. A callback that is not implemented succeeds, except `on_error`, which
 /// fails: the node is then finalized. A callback that panics counts as an error.

@@ -14,8 +14,7 @@ use tautline_ros_msgs::rcl_interfaces::srv::{
     DescribeParameters, GetParameterTypes, GetParameters, ListParameters, SetParameters,
     SetParametersAtomically,
 };
-use tautline_transport::Qos;
-use tautline_transport::{Claim, Limits};
+use tautline_transport::{Claim, Limits, Qos};
 
 /// Capacity of the stream of changes; if it is full, further changes are dropped, and a warning is logged.
 const CHANGES: usize = 1000;

@@ -7,12 +7,11 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, mpsc};
 use std::task::Waker;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
-use tautline_relay::OfferedService;
 use tautline_relay::{
     Arrived, Delivery, Direction, EarlyLimits, Egress, Event, FarClient, FarGraph, FarServer, FarServices,
     FarSide, FarWriter, FoundType, InKey, Ingress, IngressUpdate, Inward, LocalGraph, MessageMeta,
-    MirrorControl, Outbound, OutboundSample, Parts, Publisher, Relay, Report, Response, Rule, Rules,
-    ServerId, Services, Side, SoughtService, TakenRequest, TopicKey, Transit, Writers,
+    MirrorControl, OfferedService, Outbound, OutboundSample, Parts, Publisher, Relay, Report, Response, Rule,
+    Rules, ServerId, Services, Side, SoughtService, TakenRequest, TopicKey, Transit, Writers,
 };
 use tautline_rt::ThreadBuilder;
 use tautline_transport::{

@@ -147,9 +147,7 @@ impl Args {
             limits: GraphLimits { tokens: self.max_tokens, ..GraphLimits::default() },
         })
     }
-}
 
-impl Args {
     /// The rules of the command line, then those of the system file: the first match counts.
     fn rules(&self) -> Result<Vec<Rule>, ArgsError> {
         let mut rules = self.urgency.iter().map(|text| text.parse()).collect::<Result<Vec<Rule>, _>>()?;
