@@ -57,34 +57,29 @@ impl ParameterDescriptor {
     }
 
     /// Sets the purpose of the parameter.
-    pub fn description(mut self, description: impl Into<String>) -> ParameterDescriptor {
-        self.description = description.into();
-        self
+    pub fn description(self, description: impl Into<String>) -> ParameterDescriptor {
+        ParameterDescriptor { description: description.into(), ..self }
     }
 
     /// Describes the constraints that a callback checks.
-    pub fn additional_constraints(mut self, constraints: impl Into<String>) -> ParameterDescriptor {
-        self.additional_constraints = constraints.into();
-        self
+    pub fn additional_constraints(self, constraints: impl Into<String>) -> ParameterDescriptor {
+        ParameterDescriptor { additional_constraints: constraints.into(), ..self }
     }
 
     /// The parameter keeps its initial value.
-    pub fn read_only(mut self) -> ParameterDescriptor {
-        self.read_only = true;
-        self
+    pub fn read_only(self) -> ParameterDescriptor {
+        ParameterDescriptor { read_only: true, ..self }
     }
 
     /// The parameter's type may change. A reader of one type keeps the last value of that type.
-    pub fn dynamic_typing(mut self) -> ParameterDescriptor {
-        self.dynamic_typing = true;
-        self
+    pub fn dynamic_typing(self) -> ParameterDescriptor {
+        ParameterDescriptor { dynamic_typing: true, ..self }
     }
 
     /// The range of the number: `0..=10` for an integer, `0.0..=1.0` for a double. For an array it applies to each
     /// number.
-    pub fn range(mut self, range: impl Into<ParameterRange>) -> ParameterDescriptor {
-        self.range = Some(range.into());
-        self
+    pub fn range(self, range: impl Into<ParameterRange>) -> ParameterDescriptor {
+        ParameterDescriptor { range: Some(range.into()), ..self }
     }
 
     /// Sets the distance between the numbers of the range, counted from its start; its end is always allowed. Without a
