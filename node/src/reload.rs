@@ -11,6 +11,7 @@
 //! ```
 
 use crate::error::{Error, Result};
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Duration;
@@ -148,9 +149,7 @@ pub fn apply_system(domain: u32, path: impl AsRef<Path>) -> Result<Vec<String>> 
         return Err(Error::NobodyHas { path, domain });
     }
     let label = path.display().to_string();
-    let mut hosts: Vec<&str> = members.iter().map(|(_, process)| process.host.as_str()).collect();
-    hosts.sort_unstable();
-    hosts.dedup();
+    let hosts: BTreeSet<&str> = members.iter().map(|(_, process)| process.host.as_str()).collect();
     for host in hosts {
         let running = Running::beside(domain, Some((&path, &file)))?;
         let candidate = Candidate::File(Share { file: &file, host, label: &label });

@@ -78,12 +78,7 @@ impl TransformListener {
         #[cfg(feature = "rosgraph_msgs")]
         let jump = {
             let leap = leap.clone();
-            let threshold = crate::time::JumpThreshold {
-                min_backward: Some(Duration::from_nanos(1)),
-                min_forward: None,
-                on_clock_change: true,
-            };
-            node.clock().on_jump(threshold, move |_| leap.note())?
+            node.clock().on_jump(crate::time::JumpThreshold::default(), move |_| leap.note())?
         };
         let both = stream::select(
             moving.map(|sample| Some((sample, Kind::Dynamic))),

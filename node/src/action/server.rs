@@ -11,7 +11,7 @@ use futures::channel::{mpsc, oneshot};
 use futures::future::{Either, Shared, select};
 use futures::stream::FuturesUnordered;
 use futures::{FutureExt, Stream, StreamExt};
-use std::sync::{Arc, Weak};
+use std::sync::Arc;
 use std::time::Duration;
 use tautline_executor::CallbackOptions;
 use tautline_msgs::cdr::Endian;
@@ -300,7 +300,9 @@ fn ask_to_cancel<T: Action>(
             let weak = Arc::downgrade(server);
             let request = ActionServerCancelRequest {
                 uuid: Uuid::from_bytes(id),
-                accept: Box::new(move || accept_cancel(&weak, id)),
+                accept: Box::new(move || {
+                    weak.upgrade().is_some_and(|server| server.apply(id, GoalEvent::CancelGoal).is_ok())
+                }),
                 decision: sender,
             };
             // A request that is not queued is dropped, and thereby rejected.
@@ -330,10 +332,6 @@ fn answer_cancel(
     if let Err(error) = request.respond(CancelGoal::Response { return_code, goals_canceling }) {
         tracing::warn!("{error}");
     }
-}
-
-fn accept_cancel<T: Action>(server: &Weak<Server<T>>, id: GoalId) -> bool {
-    server.upgrade().is_some_and(|server| server.apply(id, GoalEvent::CancelGoal).is_ok())
 }
 
 /// A request to cancel a goal. Dropping it rejects it.

@@ -8,7 +8,7 @@ use super::Clock;
 use crate::error::{Error, Result};
 use futures::task::{ArcWake, AtomicWaker, waker};
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 use tautline_ros_msgs::rosgraph_msgs::msg::Clock as ClockMessage;
@@ -186,7 +186,7 @@ impl TimeSource {
 
     pub(crate) fn set_enabled(&self, enabled: bool) -> Result<()> {
         let TimeSourceState { participant, topic, .. } = &*self.shared;
-        let switching = lock(&self.shared.switching);
+        let switching = self.shared.switching.lock().unwrap_or_else(PoisonError::into_inner);
         if enabled == self.is_enabled() {
             return Ok(());
         }
@@ -320,10 +320,6 @@ impl Drop for JumpCallback {
             drop(own);
         }
     }
-}
-
-fn lock<T: ?Sized>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 tautline_rt::debug_fields!(TimeSource, |this| enabled = this.is_enabled());
