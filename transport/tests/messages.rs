@@ -394,56 +394,40 @@ fn hostile(random: &mut StdRng, valid: &[u8]) -> Vec<u8> {
 
 #[test]
 fn hostile_bytes_are_messages_or_counted_errors() {
-    let mut random = tautline_seed::random();
-    let participant = Participant::new(domain(194)).unwrap();
     let header = with_frame(Default::default());
-    attack(
-        &participant,
-        &mut random,
-        &Image { header: header.clone(), encoding: "rgb8".into(), data: vec![9; 48], ..Image::default() },
-    );
-    attack(
-        &participant,
-        &mut random,
-        &JointState {
-            header: header.clone(),
-            name: vec!["left".into(), "".into(), "right_wheel_joint".into()],
-            position: vec![1.0; 3],
-            velocity: vec![],
-            effort: vec![2.0],
-        },
-    );
-    attack(
-        &participant,
-        &mut random,
-        &PointCloud2 {
-            header: header.clone(),
-            fields: vec![PointField { name: "x".into(), ..PointField::default() }; 3],
-            data: vec![1; 32],
-            is_dense: true,
-            ..PointCloud2::default()
-        },
-    );
-    attack(
-        &participant,
-        &mut random,
-        &PointCloud {
-            header: header.clone(),
-            points: vec![Point32::default(); 4],
-            channels: vec![ChannelFloat32 { name: "i".into(), values: vec![1.0; 5] }; 2],
-        },
-    );
-    attack(&participant, &mut random, &PoseStamped { header: header.clone(), ..PoseStamped::default() });
-    attack(&participant, &mut random, &CameraInfo { header, d: vec![0.5; 5], ..CameraInfo::default() });
-    attack(&participant, &mut random, &Gaps { flag: true, wide: 3, last: 4 });
-    attack(&participant, &mut random, &Twist::default());
+    attack(&Image { header: header.clone(), encoding: "rgb8".into(), data: vec![9; 48], ..Image::default() });
+    attack(&JointState {
+        header: header.clone(),
+        name: vec!["left".into(), "".into(), "right_wheel_joint".into()],
+        position: vec![1.0; 3],
+        velocity: vec![],
+        effort: vec![2.0],
+    });
+    attack(&PointCloud2 {
+        header: header.clone(),
+        fields: vec![PointField { name: "x".into(), ..PointField::default() }; 3],
+        data: vec![1; 32],
+        is_dense: true,
+        ..PointCloud2::default()
+    });
+    attack(&PointCloud {
+        header: header.clone(),
+        points: vec![Point32::default(); 4],
+        channels: vec![ChannelFloat32 { name: "i".into(), values: vec![1.0; 5] }; 2],
+    });
+    attack(&PoseStamped { header: header.clone(), ..PoseStamped::default() });
+    attack(&CameraInfo { header, d: vec![0.5; 5], ..CameraInfo::default() });
+    attack(&Gaps { flag: true, wide: 3, last: 4 });
+    attack(&Twist::default());
 }
 
-fn attack<T>(participant: &Participant, random: &mut StdRng, message: &T)
+fn attack<T>(message: &T)
 where
     T: Message + std::fmt::Debug,
     for<'a> T::View<'a>: std::fmt::Debug,
 {
+    let mut random = tautline_seed::random();
+    let participant = Participant::new(domain(194)).unwrap();
     let topic = format!("/attack/{}", T::TYPE_NAME.rsplit('/').next().unwrap());
     // Of a name alone: a publisher that knows nothing of sizes or hashes made the topic.
     let topic_type = TopicType::new(T::TYPE_NAME);
@@ -452,7 +436,7 @@ where
     let valid = &message.to_cdr().unwrap()[4..];
     let (mut read, mut refused) = (0, 0);
     for n in 0..3000 {
-        let body = hostile(random, valid);
+        let body = hostile(&mut random, valid);
         raw.publish(&body).unwrap();
         match subscription.try_take() {
             Ok(sample) => {
