@@ -8,7 +8,7 @@
 mod claims;
 mod links;
 
-use crate::steps::{Outcome, Steps, announce, cargo, execute};
+use crate::steps::{Outcome, Steps, announce, cargo, execute, stdout_of};
 use crate::{machine, tools};
 use std::fs;
 use std::io;
@@ -190,16 +190,12 @@ fn redirected(text: &str, file: &Path, page: &Path, is_page: &dyn Fn(&Path) -> b
 fn mdbook() -> Result<PathBuf, String> {
     let root = machine::target_dir().join("tools");
     let installed = root.join("bin/mdbook");
-    let version = |program: &Path| {
-        let output = Command::new(program).arg("--version").output().ok()?;
-        Some(String::from_utf8_lossy(&output.stdout).trim().to_owned())
-    };
+    let version = |program: &Path| stdout_of(Command::new(program).arg("--version"));
     // Another version of the same book format will do.
-    let is_like = |version: &String| version.starts_with("mdbook v0.5.");
-    if version(Path::new("mdbook")).as_ref().is_some_and(is_like) {
+    if version(Path::new("mdbook")).is_ok_and(|version| version.starts_with("mdbook v0.5.")) {
         return Ok("mdbook".into());
     }
-    if version(&installed).is_some_and(|version| version.ends_with(MDBOOK)) {
+    if version(&installed).is_ok_and(|version| version.trim().ends_with(MDBOOK)) {
         return Ok(installed);
     }
     // Without its server and what watches files.

@@ -2,7 +2,7 @@
 //! What Tautline takes from others: its licences, sources, duplicates and vulnerabilities, by cargo-deny as `deny.toml` says; and that the oldest
 //! compiler that Tautline names may build it.
 
-use crate::steps::{Outcome, Steps, cargo, execute};
+use crate::steps::{Outcome, Steps, cargo, execute, json_of};
 use crate::{machine, tools};
 use serde_json::Value;
 use std::path::Path;
@@ -70,11 +70,8 @@ fn builds_with_ours(folder: &str) -> Result<(), String> {
     let mut command = cargo(
         "metadata --locked --all-features --format-version 1 --filter-platform x86_64-unknown-linux-gnu",
     );
-    let output = command.arg("--manifest-path").arg(&manifest).output().map_err(|error| error.to_string())?;
-    if !output.status.success() {
-        return Err(format!("{folder}: {}", String::from_utf8_lossy(&output.stderr).trim()));
-    }
-    let metadata: Value = serde_json::from_slice(&output.stdout).map_err(|error| error.to_string())?;
+    let metadata = json_of(command.arg("--manifest-path").arg(&manifest));
+    let metadata = metadata.map_err(|reason| format!("{folder}: {reason}"))?;
     let faults = above(&metadata["packages"], env!("CARGO_PKG_RUST_VERSION"));
     if faults.is_empty() { Ok(()) } else { Err(format!("{}: {}", manifest.display(), faults.join("; "))) }
 }

@@ -390,9 +390,8 @@ impl Dist {
     fn pack(&self, task: &str, glibc: Version) -> Result<(), String> {
         let (root, architecture) = (machine::root(), self.architecture);
         // The time of the commit: the same files make the same packages.
-        let time = Command::new("git").args(["log", "-1", "--format=%ct"]).current_dir(&root).output();
-        let time = time.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned());
-        let time = time.ok().filter(|time| !time.is_empty()).unwrap_or_else(|| "0".to_owned());
+        let time = stdout_of(Command::new("git").args(["log", "-1", "--format=%ct"]).current_dir(&root));
+        let time = time.unwrap_or_else(|_| "0".to_owned());
         let mut command = Command::new("sh");
         command.arg("-eu").arg(root.join("xtask/src/dist/pack.sh")).arg(task);
         command
@@ -400,7 +399,7 @@ impl Dist {
             .env("BUILT", self.built())
             .env("OUT", &self.out)
             .env("TOOLS", tools());
-        command.env("SOURCE_DATE_EPOCH", time).env("VERSION", VERSION);
+        command.env("SOURCE_DATE_EPOCH", time.trim()).env("VERSION", VERSION);
         command.env("CYCLONEDX", machine::target_dir().join("tools/bin/cargo-cyclonedx"));
         command.env("GLIBC", format!("{}.{}", glibc.0, glibc.1)).env("MACHINE", architecture.name());
         command.env("DISTRIBUTION", ros::distribution());

@@ -191,11 +191,9 @@ fn pypi_libclang() -> Result<[(&'static str, String); 2], String> {
     ros::make_venv(&venv, &[LIBCLANG], || Ok("python3".to_owned()))?;
     let native = native().ok_or_else(|| format!("{}: {LIBCLANG} has no clang/native", venv.display()))?;
     // It comes without the compiler's own headers.
-    let gcc =
-        Command::new("gcc").arg("-print-file-name=include").output().map_err(|error| error.to_string())?;
-    let include = String::from_utf8_lossy(&gcc.stdout).trim().to_owned();
+    let include = steps::stdout_of(Command::new("gcc").arg("-print-file-name=include"))?;
     let native = native.display().to_string();
-    Ok([("LIBCLANG_PATH", native), ("BINDGEN_EXTRA_CLANG_ARGS", format!("-I{include}"))])
+    Ok([("LIBCLANG_PATH", native), ("BINDGEN_EXTRA_CLANG_ARGS", format!("-I{}", include.trim()))])
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 
 use crate::machine::{self, Scope};
 use crate::running::Running;
-use crate::steps::{Steps, announce, cargo};
+use crate::steps::{Steps, announce, cargo, json_of};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -189,9 +189,7 @@ impl Source {
         command.args(["metadata", "--format-version", "1", "--locked", "--manifest-path"]);
         command.arg(machine::root().join("node/r2r/Cargo.toml"));
         announce(&command);
-        let output = command.stderr(Stdio::inherit()).output().map_err(|error| error.to_string())?;
-        let metadata: Value =
-            serde_json::from_slice(&output.stdout).map_err(|error| format!("cargo metadata: {error}"))?;
+        let metadata = json_of(&mut command)?;
         let packages = metadata["packages"].as_array().ok_or("cargo metadata lists no packages")?;
         let r2r = packages
             .iter()

@@ -23,8 +23,8 @@ pub fn run(steps: &mut Steps, dry_run: bool) {
     let (mut notes, mut dated) = (String::new(), None);
     steps.step("release: changelog", || {
         let text = read("CHANGELOG.md")?;
-        let day = Command::new("date").args(["-u", "+%F"]).output().map_err(|error| error.to_string())?;
-        dated = with_day(&text, VERSION, String::from_utf8_lossy(&day.stdout).trim());
+        let day = stdout_of(Command::new("date").args(["-u", "+%F"]))?;
+        dated = with_day(&text, VERSION, day.trim());
         notes = section(dated.as_deref().unwrap_or(&text), VERSION)?.to_owned();
         Ok::<(), String>(())
     });
@@ -151,9 +151,8 @@ fn count_up(path: &Path) -> Result<(), String> {
 
 /// The newest one that is part of this commit's history.
 fn last_tag() -> Option<String> {
-    let output = git("describe --tags --abbrev=0 --match v[0-9]*").output().ok()?;
-    let tag = String::from_utf8_lossy(&output.stdout).trim().to_owned();
-    (output.status.success() && !tag.is_empty()).then_some(tag)
+    let tag = stdout_of(&mut git("describe --tags --abbrev=0 --match v[0-9]*")).ok()?;
+    Some(tag.trim().to_owned()).filter(|tag| !tag.is_empty())
 }
 
 fn git(arguments: &str) -> Command {

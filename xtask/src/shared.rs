@@ -4,7 +4,7 @@
 //! that differs builds everything twice.
 
 use crate::build::{WHOLE, most};
-use crate::steps::cargo;
+use crate::steps::{cargo, json_of};
 use crate::{bridge, lab, machine, programs, rmw};
 use serde_json::Value;
 use std::collections::HashSet;
@@ -105,12 +105,7 @@ pub fn units(command: &str) -> Result<Vec<Unit>, String> {
 /// Cargo's own words for it. To tell is an option that stable versions keep for nightly ones.
 pub fn unit_graph(command: &str) -> Result<Vec<Value>, String> {
     let mut command = cargo(&format!("{command} -Z unstable-options --unit-graph"));
-    let output = command.env("RUSTC_BOOTSTRAP", "1").current_dir(machine::root()).output();
-    let output = output.map_err(|error| format!("cargo: {error}"))?;
-    if !output.status.success() {
-        return Err(String::from_utf8_lossy(&output.stderr).trim().to_owned());
-    }
-    let mut graph: Value = serde_json::from_slice(&output.stdout).map_err(|error| error.to_string())?;
+    let mut graph = json_of(command.env("RUSTC_BOOTSTRAP", "1").current_dir(machine::root()))?;
     match graph["units"].take() {
         Value::Array(units) => Ok(units),
         _ => Err("cargo's unit graph has no units".to_owned()),

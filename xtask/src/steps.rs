@@ -7,6 +7,7 @@ pub use background::Background;
 
 use crate::machine;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use std::path::Path;
 use std::process::{Command, ExitCode, ExitStatus};
 use std::sync::OnceLock;
@@ -196,6 +197,12 @@ pub fn stdout_of(command: &mut Command) -> Result<String, String> {
         return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
     }
     Err(String::from_utf8_lossy(&output.stderr).trim().to_owned())
+}
+
+/// The JSON that a command prints.
+pub fn json_of(command: &mut Command) -> Result<Value, String> {
+    let program = command.get_program().display().to_string();
+    serde_json::from_str(&stdout_of(command)?).map_err(|error| format!("{program}: {error}"))
 }
 
 /// Prints a command and runs it.

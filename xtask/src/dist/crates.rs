@@ -4,8 +4,7 @@
 use super::VERSION;
 use crate::build::Build;
 use crate::machine;
-use crate::steps::{cargo, execute};
-use serde_json::Value;
+use crate::steps::{cargo, execute, json_of};
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -139,10 +138,8 @@ fn write(path: &Path, text: &str) -> Result<(), String> {
 
 /// Names of the packages that are not kept from it. Each has what crates.io and docs.rs show.
 fn published() -> Result<Vec<String>, String> {
-    let output =
-        cargo("metadata --format-version 1 --no-deps --locked").current_dir(machine::root()).output();
-    let output = output.map_err(|error| format!("cargo: {error}"))?;
-    let metadata: Value = serde_json::from_slice(&output.stdout).map_err(|error| error.to_string())?;
+    let mut metadata = cargo("metadata --format-version 1 --no-deps --locked");
+    let metadata = json_of(metadata.current_dir(machine::root()))?;
     let packages = metadata["packages"].as_array().ok_or("cargo's metadata has no packages")?;
     let mut names = Vec::new();
     for package in packages.iter().filter(|package| package["publish"].is_null()) {

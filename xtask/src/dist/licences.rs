@@ -2,7 +2,7 @@
 //! The licence texts of what a program contains of others, which are to be passed on with it: from the packages that cargo has unpacked.
 
 use crate::machine;
-use crate::steps::cargo;
+use crate::steps::{cargo, json_of};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -13,15 +13,9 @@ const NAMES: [&str; 5] = ["LICENSE", "LICENCE", "COPYING", "NOTICE", "UNLICENSE"
 
 /// The texts of everything that these packages of a workspace link on a target, each once, after the packages that have it.
 pub fn of(manifest: &str, packages: &[&str], target: &str) -> Result<String, String> {
-    let output = cargo("metadata --format-version 1 --locked")
-        .args(["--filter-platform", target, "--manifest-path"])
-        .arg(machine::root().join(manifest))
-        .output()
-        .map_err(|error| format!("cargo: {error}"))?;
-    if !output.status.success() {
-        return Err(String::from_utf8_lossy(&output.stderr).trim().to_owned());
-    }
-    let metadata: Value = serde_json::from_slice(&output.stdout).map_err(|error| error.to_string())?;
+    let mut metadata = cargo("metadata --format-version 1 --locked --manifest-path");
+    metadata.arg(machine::root().join(manifest)).args(["--filter-platform", target]);
+    let metadata = json_of(&mut metadata)?;
     let names: Vec<_> = array(&metadata["packages"]).filter_map(|package| package["name"].as_str()).collect();
     if let Some(unknown) = packages.iter().find(|package| !names.contains(package)) {
         return Err(format!("{manifest} has no package {unknown}"));

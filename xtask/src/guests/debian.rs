@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Debian's packages of any architecture, unpacked under the target directory: nothing is installed.
 
-use crate::steps::{Outcome, execute};
+use crate::steps::{Outcome, execute, stdout_of};
 use crate::{machine, packages};
 use clap::ValueEnum;
 use std::collections::BTreeSet;
@@ -197,9 +197,8 @@ pub fn compiler(target: Architecture) -> Result<Vec<(String, String)>, String> {
         (format!("AR_{name}"), target.tool("ar")),
         (format!("CARGO_TARGET_{}_LINKER", name.to_uppercase()), gcc.clone()),
     ];
-    let library = Command::new("rustc").args(["--print", "target-libdir", "--target", &triple]).output();
-    let library = library.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned());
-    if !library.is_ok_and(|library| Path::new(&library).is_dir()) {
+    let library = stdout_of(Command::new("rustc").args(["--print", "target-libdir", "--target", &triple]));
+    if !library.is_ok_and(|library| Path::new(library.trim()).is_dir()) {
         variables.push(("RUSTC".to_owned(), debians_compiler(target)?.display().to_string()));
     }
     Ok(variables)
