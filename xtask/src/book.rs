@@ -26,23 +26,17 @@ const SHOWN: [(&str, &str); 2] =
 
 /// Checks all links, then builds the book.
 pub fn test(steps: &mut Steps) {
-    steps.step("book: links", || match tools::program("lychee") {
-        Ok(program) => {
-            let mut check = Command::new(program);
-            // Those within the repository, in all of its documents: what is on the network may be away for a day.
-            check.args(["--offline", "--include-fragments", "--no-progress", "--extensions", "md", "."]);
-            let here = machine::root();
-            check
-                .arg("--remap")
-                .arg(format!("{REPOSITORY}/(blob|raw|tree)/main/ file://{}/", here.display()));
-            execute(check.current_dir(machine::root())).into()
-        }
-        Err(reason) => Outcome::Failed(reason).unless_ci(),
-    });
-    steps.step("book", || match mdbook() {
-        Ok(program) => build(&program).into(),
-        Err(reason) => Outcome::Failed(reason).unless_ci(),
-    });
+    steps.step("book: links", || Outcome::with(tools::program("lychee"), |program| check_links(&program)));
+    steps.step("book", || Outcome::with(mdbook(), |program| build(&program)));
+}
+
+/// Those within the repository, in all of its documents: what is on the network may be away for a day.
+fn check_links(lychee: &Path) -> Result<(), String> {
+    let here = machine::root();
+    let mut check = Command::new(lychee);
+    check.args(["--offline", "--include-fragments", "--no-progress", "--extensions", "md", "."]);
+    check.arg("--remap").arg(format!("{REPOSITORY}/(blob|raw|tree)/main/ file://{}/", here.display()));
+    execute(check.current_dir(here))
 }
 
 fn build(mdbook: &Path) -> Result<(), String> {

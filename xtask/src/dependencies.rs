@@ -20,14 +20,11 @@ const STALE: &str =
 
 /// Checks all workspaces.
 pub fn test(steps: &mut Steps) {
-    steps.step("dependencies: licences, sources, duplicates", || match tools::program("cargo-deny") {
-        Ok(deny) => WORKSPACES.iter().try_for_each(|folder| comply(&deny, folder)).into(),
-        Err(reason) => Outcome::Failed(reason).unless_ci(),
+    let deny = || tools::program("cargo-deny");
+    steps.step("dependencies: licences, sources, duplicates", || {
+        Outcome::with(deny(), |deny| WORKSPACES.iter().try_for_each(|folder| comply(&deny, folder)))
     });
-    steps.step("dependencies: advisories", || match tools::program("cargo-deny") {
-        Ok(deny) => advisories(&deny),
-        Err(reason) => Outcome::Failed(reason).unless_ci(),
-    });
+    steps.step("dependencies: advisories", || Outcome::with(deny(), |deny| advisories(&deny)));
     steps.step("dependencies: rust-version", || {
         WORKSPACES.iter().try_for_each(|folder| builds_with_ours(folder))
     });

@@ -14,10 +14,7 @@ pub const PACKAGES: &str = "action_msgs;builtin_interfaces;geometry_msgs;nav_msg
 
 /// A minute from cold. Without a network and without a ROS 2 it is left out, but not in CI.
 pub fn test(steps: &mut Steps) {
-    steps.step("r2r: programs", || match r2r::environment() {
-        Ok(environment) => run_on(&environment).into(),
-        Err(reason) => Outcome::Failed(reason).unless_ci(),
-    });
+    steps.step("r2r: programs", || Outcome::with(r2r::environment(), |environment| run_on(&environment)));
 }
 
 fn run_on(r2r: &Environment) -> Result<(), String> {

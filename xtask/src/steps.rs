@@ -22,6 +22,14 @@ pub enum Outcome {
 }
 
 impl Outcome {
+    /// Of what runs with something that not every machine can have: where CI is not set, it is skipped without.
+    pub fn with<T, O: Into<Outcome>>(needed: Result<T, String>, run: impl FnOnce(T) -> O) -> Outcome {
+        match needed {
+            Ok(needed) => run(needed).into(),
+            Err(reason) => Outcome::Failed(reason).unless_ci(),
+        }
+    }
+
     /// Of what needs a network or a program that not every machine has: where CI is not set, that it failed is a reason to go without.
     pub fn unless_ci(self) -> Outcome {
         match self {
