@@ -3,7 +3,7 @@
 //! implements. A change of it is seen in `node/api.txt`; and whatever a declaration names has a path by which a program can name it, too.
 
 use crate::build::SAME;
-use crate::{lints, machine};
+use crate::{files, lints, machine};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::fs;
@@ -47,7 +47,7 @@ pub fn check(bless: bool) -> Result<(), String> {
     let before = fs::read_to_string(&listed).unwrap_or_default();
     let mut faults = Vec::new();
     if bless {
-        fs::write(&listed, &text).map_err(|error| format!("{}: {error}", listed.display()))?;
+        files::write(&listed, &text)?;
     } else if before != text {
         let (before, now) = (lines_of(&before), lines_of(&text));
         before.difference(&now).for_each(|line| println!("- {line}"));

@@ -9,7 +9,7 @@ mod claims;
 mod links;
 
 use crate::steps::{Outcome, Steps, announce, cargo, execute, stdout_of};
-use crate::{machine, tools};
+use crate::{files, machine, tools};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -76,22 +76,11 @@ fn fail(faults: Vec<String>) -> Result<(), String> {
 
 /// The Markdown files below `docs/`, relative to the root.
 fn pages(root: &Path) -> Result<Vec<PathBuf>, String> {
-    let mut pages = Vec::new();
-    let mut folders = vec![PathBuf::from("docs")];
-    while let Some(folder) = folders.pop() {
-        let entries =
-            fs::read_dir(root.join(&folder)).map_err(|error| format!("{}: {error}", folder.display()))?;
-        for entry in entries.flatten() {
-            let path = folder.join(entry.file_name());
-            if root.join(&path).is_dir() {
-                folders.push(path);
-            } else if path.extension().is_some_and(|extension| extension == "md") {
-                pages.push(path);
-            }
-        }
-    }
-    pages.sort();
-    Ok(pages)
+    let docs = root.join("docs");
+    let files = files::below(&docs).map_err(files::at(&docs))?;
+    let is_page = |path: &Path| path.extension().is_some_and(|extension| extension == "md");
+    let pages = files.iter().filter_map(|file| file.strip_prefix(root).ok()).filter(|path| is_page(path));
+    Ok(pages.map(Path::to_owned).collect())
 }
 
 /// Pages that readers do not find: in the book by its summary, on GitHub by the index.
@@ -102,8 +91,7 @@ fn unlisted(root: &Path, pages: &[PathBuf]) -> Result<Vec<String>, String> {
         [("SUMMARY.md", "README.md"), ("README.md", "introduction.md architecture.md SUMMARY.md")]
     {
         let list = Path::new("docs").join(list);
-        let text =
-            fs::read_to_string(root.join(&list)).map_err(|error| format!("{}: {error}", list.display()))?;
+        let text = files::read(&root.join(&list))?;
         let listed: Vec<PathBuf> = links::targets(&text)
             .into_iter()
             .filter_map(|range| Some(links::local(&list, &text[range])?.0))
@@ -122,9 +110,7 @@ fn unlisted(root: &Path, pages: &[PathBuf]) -> Result<Vec<String>, String> {
 
 /// Makes what mdBook reads.
 fn stage(root: &Path, copy: &Path, pages: &[PathBuf]) -> io::Result<()> {
-    if copy.exists() {
-        fs::remove_dir_all(copy)?;
-    }
+    files::remove(copy)?;
     fs::create_dir_all(copy.join("docs/adr"))?;
     std::os::unix::fs::symlink(root.join("examples"), copy.join("examples"))?;
     std::os::unix::fs::symlink(root.join("node"), copy.join("node"))?;

@@ -2,9 +2,9 @@
 //! The programs of other middleware that Tautline is measured beside: those that can be built here.
 
 use crate::build::{Build, build};
+use crate::guests::debian;
 use crate::steps::{self, execute};
-use crate::{lab, machine, r2r};
-use std::os::unix::fs::PermissionsExt;
+use crate::{files, lab, machine, r2r};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::{fs, io};
@@ -110,22 +110,19 @@ const CHUNKS: [(usize, usize); 6] = [
 /// A script that runs the daemon with room for these payloads, by the packages' libraries.
 fn write_roudi(_: Build) -> Result<PathBuf, String> {
     let (root, lib) = cyclonedds_root()?;
-    let folder = machine::target_dir().join("compare");
-    let (program, config) = (folder.join("roudi"), folder.join("roudi.toml"));
+    let config = machine::target_dir().join("compare/roudi.toml");
     let mut text = "[general]\nversion = 1\n\n[[segment]]\n".to_owned();
     for (size, count) in CHUNKS {
         text += &format!("\n[[segment.mempool]]\nsize = {size}\ncount = {count}\n");
     }
     let script = format!(
-        "#!/bin/sh\nLD_LIBRARY_PATH='{}' exec '{}' --monitoring-mode off --config-file '{}'\n",
+        "LD_LIBRARY_PATH='{}' exec '{}' --monitoring-mode off --config-file '{}'",
         lib.display(),
         root.join("usr/bin/iox-roudi").display(),
         config.display()
     );
-    fs::write(config, text).map_err(|error| error.to_string())?;
-    fs::write(&program, script).map_err(|error| error.to_string())?;
-    fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).map_err(|error| error.to_string())?;
-    Ok(program)
+    files::write(&config, text)?;
+    machine::script("compare/roudi", &script)
 }
 
 /// The gateway of this workspace: a minute from cold, for it has a Zenoh.
@@ -147,21 +144,12 @@ fn folder_with(of: Build, package: &str) -> Result<PathBuf, String> {
 
 /// Fetches packages and unpacks them to a folder.
 fn unpack(root: &Path, packages: &[&str]) -> Result<(), String> {
-    let say = |error: io::Error| error.to_string();
-    if root.exists() {
-        fs::remove_dir_all(root).map_err(say)?;
-    }
-    fs::create_dir_all(root).map_err(say)?;
+    files::make_empty(root).map_err(files::at(root))?;
     let mut download = Command::new("apt-get");
     execute(download.args(["download", "--quiet"]).args(packages).current_dir(root))?;
-    for entry in fs::read_dir(root).map_err(say)?.flatten() {
-        if entry.path().extension().is_some_and(|extension| extension == "deb") {
-            execute(Command::new("dpkg").arg("-x").arg(entry.path()).arg(root))?;
-            fs::remove_file(entry.path()).map_err(say)?;
-        }
-    }
+    debian::unpack_all(root)?;
     // Written last: what was interrupted is fetched anew.
-    fs::write(root.join("complete"), packages.join("\n")).map_err(say)
+    files::write(&root.join("complete"), packages.join("\n"))
 }
 
 /// A minute from cold, with the programs of other benches.
@@ -187,7 +175,7 @@ fn cpp(name: &str, of: Build) -> Result<Cpp, String> {
     let folder = machine::root().join("benches/rivals/cpp");
     let source = folder.join(format!("{name}.cpp"));
     let target = machine::target_dir().join("compare");
-    fs::create_dir_all(&target).map_err(|error| format!("{}: {error}", target.display()))?;
+    fs::create_dir_all(&target).map_err(files::at(&target))?;
     let program = target.join(name);
     let mut command = Command::new("g++");
     // As cargo's release profile.
@@ -205,7 +193,7 @@ impl Cpp {
             return Ok(self.program);
         }
         build(&mut self.command)?;
-        fs::write(&record, words).map_err(|error| format!("{}: {error}", record.display()))?;
+        files::write(&record, words)?;
         Ok(self.program)
     }
 }

@@ -19,7 +19,7 @@ use crate::build::{Build, SAME};
 use crate::guests::debian::{self, Architecture};
 use crate::ros::Distribution;
 use crate::steps::{Outcome, Steps, cargo, execute, stdout_of};
-use crate::{machine, pages, r2r, rmw, ros, word};
+use crate::{files, machine, pages, r2r, rmw, ros, word};
 use clap::ValueEnum;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -187,9 +187,7 @@ fn verify() -> Result<(), String> {
     execute(&mut build(&source, &target))?;
     for program in PROGRAMS {
         let files = [Build::Release.folder(), target.join("release")].map(|folder| folder.join(program));
-        let [one, other] = files
-            .each_ref()
-            .map(|file| fs::read(file).map_err(|error| format!("{}: {error}", file.display())));
+        let [one, other] = files.each_ref().map(|file| fs::read(file).map_err(files::at(file)));
         if one? != other? {
             let [one, other] = files.each_ref().map(|file| file.display());
             return Err(format!(
@@ -381,9 +379,7 @@ impl Dist {
     /// Writes a file for `pack.sh` with the licences of what is in these packages.
     fn add_licences(&self, file: &str, manifest: &str, packages: &[&str]) -> Result<(), String> {
         let path = self.out.join("work").join(file);
-        let text = licences::of(manifest, packages, &self.architecture.triple())?;
-        let written = fs::create_dir_all(self.out.join("work")).and_then(|()| fs::write(&path, text));
-        written.map_err(|error| format!("{}: {error}", path.display()))
+        files::write(&path, licences::of(manifest, packages, &self.architecture.triple())?)
     }
 
     /// A task of `pack.sh`.

@@ -2,10 +2,9 @@
 //! Runs each example and compares what it prints on standard output with `examples/expected/<name>.txt`.
 
 use crate::build::Build;
-use crate::machine;
 use crate::running::Running;
 use crate::steps::{Outcome, Steps};
-use std::fs;
+use crate::{files, machine};
 use std::path::PathBuf;
 use std::process::{Command, ExitStatus};
 use std::time::{Duration, Instant};
@@ -110,10 +109,9 @@ fn judge(name: &str, status: Option<ExitStatus>, printed: &str, bless: bool) -> 
 fn compare(name: &str, printed: &str, bless: bool) -> Result<(), String> {
     let path = expected(name);
     if bless {
-        return fs::write(&path, printed).map_err(|error| format!("{}: {error}", path.display()));
+        return files::write(&path, printed);
     }
-    let expected = fs::read_to_string(&path)
-        .map_err(|error| format!("{}: {error}; write it with --bless", path.display()))?;
+    let expected = files::read(&path).map_err(|reason| format!("{reason}; write it with --bless"))?;
     if expected == printed {
         return Ok(());
     }

@@ -4,9 +4,8 @@
 
 use crate::build::Build;
 use crate::steps::{Steps, cargo_with, execute};
-use crate::{machine, shared};
+use crate::{files, machine, shared};
 use serde_json::Value;
-use std::fs;
 
 /// Crates and build scripts that it may build.
 const UNITS: usize = 300;
@@ -50,21 +49,19 @@ fn check_units() -> Result<(), String> {
 /// built for release yet, as in CI, what it builds stays for later steps.
 fn build() -> Result<(), String> {
     let target = machine::target_dir();
-    let kept = target.join("cargo-timings");
+    let kept = target.join("cargo-timings/first-command.html");
     let is_first = !Build::Release.folder().exists();
     let folder = if is_first { target } else { target.join("first-command") };
-    let say = |error: std::io::Error| format!("{}: {error}", folder.display());
-    if !is_first && folder.exists() {
-        fs::remove_dir_all(&folder).map_err(say)?;
+    let say = files::at(&folder);
+    if !is_first {
+        files::remove(&folder).map_err(say)?;
     }
     let told = format!("--target-dir={}", folder.display());
     execute(&mut cargo_with("build --release --locked", ["--timings".to_owned(), told]))?;
-    let report = fs::read_to_string(folder.join("cargo-timings/cargo-timing.html")).map_err(say)?;
-    fs::create_dir_all(&kept)
-        .and_then(|()| fs::write(kept.join("first-command.html"), &report))
-        .map_err(say)?;
+    let report = files::read(&folder.join("cargo-timings/cargo-timing.html"))?;
+    files::write(&kept, &report)?;
     if !is_first {
-        fs::remove_dir_all(&folder).map_err(say)?;
+        files::remove(&folder).map_err(say)?;
     }
     check_path(&report, &shared::unit_graph("build --release --locked")?)
 }

@@ -2,8 +2,8 @@
 //! Runs the targets of `fuzz/`: inputs made up by libFuzzer, under the address sanitizer.
 
 use crate::build::{Build, SAME};
-use crate::machine;
 use crate::steps::{Steps, announce, cargo, execute};
+use crate::{files, machine};
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
@@ -63,7 +63,7 @@ fn fuzz(target: &str, runs: u64) -> Result<(), String> {
     let found = machine::target_dir().join("fuzz/corpus").join(target);
     let artifacts = machine::root().join("fuzz/artifacts").join(target);
     for folder in [&found, &artifacts] {
-        fs::create_dir_all(folder).map_err(|error| format!("cannot create {}: {error}", folder.display()))?;
+        fs::create_dir_all(folder).map_err(files::at(folder))?;
     }
     let mut command = Command::new(Build::Tests.folder().join(format!("fuzz-{target}")));
     command.arg(found).arg(machine::root().join("fuzz/corpus").join(target));

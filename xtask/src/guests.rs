@@ -18,7 +18,7 @@ use crate::build::{SAME, TARGETS};
 use crate::lints::{self, Executable};
 use crate::ros::Distribution;
 use crate::steps::{self, Outcome, Steps};
-use crate::{examples, machine, packages, rmw, ros, word};
+use crate::{examples, files, machine, packages, rmw, ros, word};
 use clap::ValueEnum;
 pub use debian::Architecture;
 use emulator::Report;
@@ -218,7 +218,7 @@ impl Guest {
             image.file("jobs", jobs.as_bytes())?;
             image.finish()
         });
-        packed.map_err(|error| format!("{}: {error}", path.display()))?;
+        packed.map_err(files::at(&path))?;
         emulator::run(&name, of, &image::kernel(&system)?, &path)
     }
 }

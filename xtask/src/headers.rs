@@ -6,10 +6,9 @@ use crate::bridge::with_libraries;
 use crate::r2r::Environment;
 use crate::ros::{self, Distribution};
 use crate::steps::Steps;
-use crate::{lints, machine, rmw, word};
+use crate::{files, lints, machine, rmw, word};
 use std::os::unix::fs::symlink;
 use std::path::Path;
-use std::{fs, io};
 
 const PACKAGES: [&str; 8] = [
     "fastcdr",
@@ -131,15 +130,18 @@ pub fn test(steps: &mut Steps, environment: &Environment) {
 }
 
 fn make(other: &Other, prefix: &Path) -> Result<(), String> {
-    let say = |error: io::Error| format!("{}: {error}", prefix.display());
+    let say = files::at(prefix);
     let from = ros::folder_of(other.from);
     if !from.join("venv/include").is_dir() {
         return Err(format!("no {}: run `cargo xtask ros --distro {}`", from.display(), word(other.from)));
     }
-    let _ = fs::remove_dir_all(prefix);
-    let mut texts = Vec::new();
+    files::make_empty(prefix).map_err(say)?;
+    let (include, mut texts) = (from.join("venv/include"), Vec::new());
     for package in PACKAGES {
-        read(&from.join("venv/include"), Path::new(package), &mut texts).map_err(say)?;
+        for path in files::below(&include.join(package)).map_err(files::at(&include))? {
+            let name = path.strip_prefix(&include).unwrap_or(&path).display().to_string();
+            texts.push((name, files::read(&path)?));
+        }
     }
     for (path, text) in other.files {
         texts.retain(|(there, _)| there != path);
@@ -155,26 +157,10 @@ fn make(other: &Other, prefix: &Path) -> Result<(), String> {
         replace(&mut texts, hidden, &format!("hidden_{hidden}"), is_whole)?;
     }
     for (path, text) in texts {
-        let path = prefix.join("include").join(path);
-        fs::create_dir_all(path.parent().unwrap_or(prefix)).map_err(say)?;
-        fs::write(path, text).map_err(say)?;
+        files::write(&prefix.join("include").join(path), text)?;
     }
     // Of the one that it is made from: functions that it lacks are not looked for.
     symlink(from.join("prefix/lib"), prefix.join("lib")).map_err(say)
-}
-
-/// The texts of a folder's files, with their paths.
-fn read(include: &Path, folder: &Path, texts: &mut Vec<(String, String)>) -> io::Result<()> {
-    for entry in fs::read_dir(include.join(folder))? {
-        let entry = entry?;
-        let path = folder.join(entry.file_name());
-        if entry.file_type()?.is_dir() {
-            read(include, &path, texts)?;
-        } else {
-            texts.push((path.display().to_string(), fs::read_to_string(entry.path())?));
-        }
-    }
-    Ok(())
 }
 
 /// Replaces what is between such characters, in all texts; in none is an error.

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Where things are built, and what this user may do here.
 
+use crate::files;
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
@@ -29,7 +30,7 @@ pub fn script(name: &str, line: &str) -> Result<PathBuf, String> {
     }
     let written =
         fs::write(&path, text).and_then(|()| fs::set_permissions(&path, fs::Permissions::from_mode(0o755)));
-    written.map(|()| path.clone()).map_err(|error| format!("{}: {error}", path.display()))
+    written.map(|()| path.clone()).map_err(files::at(&path))
 }
 
 /// Whether nothing may be skipped that needs a privilege.

@@ -18,6 +18,7 @@
 //! | `colcon` | rmw_tautline as a package of a ROS 2 workspace |
 //! | `dist` | what is installed without a checkout: crates, packages, wheels |
 //! | `examples` | runs each example and compares what it prints with `examples/expected` |
+//! | `files` | files and folders, with errors that name them |
 //! | `guests` | tests, examples and the demo on emulated machines |
 //! | `headers` | rmw_tautline built with the headers of distributions that PyPI does not have |
 //! | `fuzz` | inputs made up by libFuzzer |
@@ -51,6 +52,7 @@ mod compiler;
 mod dependencies;
 mod dist;
 mod examples;
+mod files;
 mod first;
 mod fuzz;
 mod guests;

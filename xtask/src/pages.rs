@@ -5,7 +5,7 @@
 //! run. A block with a file's name after its language, as `python,talker.py`, becomes that file.
 
 use crate::steps::{Outcome, Steps, execute};
-use crate::{machine, packages, ros};
+use crate::{files, machine, packages, ros};
 use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
@@ -91,8 +91,7 @@ pub fn test(steps: &mut Steps, packages: &Path) {
 
 fn run(page: &str, packages: &Path) -> Result<(), String> {
     let root = machine::root();
-    let read = |file: &str| fs::read_to_string(root.join(file)).map_err(|error| format!("{file}: {error}"));
-    let text = read(page)?;
+    let text = files::read(&root.join(page))?;
     if let Some(fault) = faults(page, &text).first() {
         return Err(fault.clone());
     }
@@ -114,18 +113,16 @@ fn run(page: &str, packages: &Path) -> Result<(), String> {
     }
     match WITH_MORE.iter().find(|(of, ..)| *of == page) {
         Some((_, more, true)) if !has_apt => println!("{more} is not run, {}", APT.1),
-        Some((_, more, _)) => script += &read(more)?,
+        Some((_, more, _)) => script += &files::read(&root.join(more))?,
         None => {}
     }
     script += "say done\n";
     let (work, bare) = (packages.join("work"), machine::target_dir().join("bare"));
-    let _ = fs::remove_dir_all(&bare);
+    files::remove(&bare).map_err(files::at(&bare))?;
     let constraints =
         format!("taut=={0}\nrmw-tautline=={0}\n{1}\n", env!("CARGO_PKG_VERSION"), ros::wheels().join("\n"));
-    fs::create_dir_all(&bare)
-        .and_then(|()| fs::write(bare.join("script"), script))
-        .and_then(|()| fs::write(work.join("constraints"), constraints))
-        .map_err(|error| format!("{}: {error}", bare.display()))?;
+    files::write(&bare.join("script"), script)?;
+    files::write(&work.join("constraints"), constraints)?;
     // As the pages say, beside what this machine's own setting says.
     let mut links = std::env::var_os("PIP_FIND_LINKS").unwrap_or_default();
     links.push(" /home/robot/target/dist/pypi");

@@ -4,7 +4,7 @@
 use crate::build::Build;
 use crate::ros::Distribution;
 use crate::steps::{self, Outcome, Steps};
-use crate::{lab, machine, ros};
+use crate::{files, lab, machine, ros};
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -94,7 +94,7 @@ pub fn prefix() -> Result<PathBuf, String> {
 pub fn wheels() -> Result<PathBuf, String> {
     ros::prepare()?;
     let prefix = ros::folder().join("prefix");
-    make_prefix(&ros::venv(), &prefix).map_err(|error| format!("{}: {error}", prefix.display()))?;
+    make_prefix(&ros::venv(), &prefix).map_err(files::at(&prefix))?;
     Ok(prefix)
 }
 
@@ -106,7 +106,7 @@ pub fn setup_file() -> Result<PathBuf, String> {
     }
     text += &format!(". '{}'\n", ros::venv().join("bin/activate").display());
     let path = ros::folder().join("setup.sh");
-    fs::write(&path, text).map_err(|error| format!("{}: {error}", path.display()))?;
+    files::write(&path, text)?;
     Ok(path)
 }
 
@@ -118,18 +118,16 @@ fn make_prefix(venv: &Path, prefix: &Path) -> io::Result<()> {
     if dispatcher.exists() {
         return Ok(());
     }
-    if prefix.exists() {
-        fs::remove_dir_all(prefix)?;
-    }
+    files::remove(prefix)?;
     fs::create_dir_all(&lib)?;
     for name in ["include", "share"] {
         symlink(venv.join(name), prefix.join(name))?;
     }
-    let bundled = files(&site_packages(venv)?)?
+    let bundled = entries(&site_packages(venv)?)?
         .into_iter()
         .filter(|(name, _)| name.starts_with("ros_") && name.ends_with(".libs"));
     for folder in std::iter::once(venv.join("lib")).chain(bundled.map(|(_, path)| path)) {
-        for (name, path) in files(&folder)?.into_iter().filter(|(name, _)| name.contains(".so")) {
+        for (name, path) in entries(&folder)?.into_iter().filter(|(name, _)| name.contains(".so")) {
             let link = lib.join(&name);
             if name.ends_with("__rosidl_generator_py.so") {
                 // librcl needs them by name only; the real ones need a Python around them.
@@ -142,14 +140,14 @@ fn make_prefix(venv: &Path, prefix: &Path) -> io::Result<()> {
     fs::write(dispatcher, "INPUT(-lrmw_fastrtps_cpp)\n")
 }
 
-fn files(folder: &Path) -> io::Result<Vec<(String, PathBuf)>> {
+fn entries(folder: &Path) -> io::Result<Vec<(String, PathBuf)>> {
     let named = |entry: fs::DirEntry| (entry.file_name().to_string_lossy().into_owned(), entry.path());
     fs::read_dir(folder)?.map(|entry| entry.map(named)).collect()
 }
 
 /// That of the environment's Python, of whatever version.
 fn site_packages(venv: &Path) -> io::Result<PathBuf> {
-    let python = files(&venv.join("lib"))?.into_iter().find(|(name, _)| name.starts_with("python3."));
+    let python = entries(&venv.join("lib"))?.into_iter().find(|(name, _)| name.starts_with("python3."));
     let (_, folder) = python.ok_or_else(|| io::Error::other(format!("{}: no Python", venv.display())))?;
     Ok(folder.join("site-packages"))
 }
@@ -164,8 +162,8 @@ fn make_empty_library(name: &str, path: &Path) -> io::Result<()> {
 /// Where Debian and its kin install it.
 fn system_has_libclang() -> bool {
     let has =
-        |folder: &Path| files(folder).is_ok_and(|files| files.iter().any(|(name, _)| is_libclang(name)));
-    let llvm = files(Path::new("/usr/lib")).unwrap_or_default();
+        |folder: &Path| entries(folder).is_ok_and(|files| files.iter().any(|(name, _)| is_libclang(name)));
+    let llvm = entries(Path::new("/usr/lib")).unwrap_or_default();
     llvm.iter().any(|(name, path)| name.starts_with("llvm-") && has(&path.join("lib")))
 }
 
@@ -181,7 +179,7 @@ fn venv_of_libclang() -> PathBuf {
 
 /// PyPI's libclang, once it is there.
 fn native() -> Option<PathBuf> {
-    let pythons = files(&venv_of_libclang().join("lib")).ok()?;
+    let pythons = entries(&venv_of_libclang().join("lib")).ok()?;
     let native = |(_, python): (String, PathBuf)| python.join("site-packages/clang/native");
     pythons.into_iter().map(native).find(|native| native.exists())
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! r2r's own tests and examples on Tautline, unchanged: as cargo has them for the bridge, with `r2r` as another name of `tautline-r2r`.
 
+use crate::files;
 use crate::machine::{self, Scope};
 use crate::running::Running;
 use crate::steps::{Steps, announce, cargo, json_of};
@@ -214,7 +215,7 @@ impl Source {
     /// Makes a package of the tests and the examples and builds what can be built. Returns all, and the executables.
     fn build(self) -> Result<(BTreeSet<Target>, BTreeMap<Target, PathBuf>), String> {
         let package = machine::target_dir().join("r2r-tests");
-        self.write(&package).map_err(|error| format!("{}: {error}", package.display()))?;
+        self.write(&package).map_err(files::at(&package))?;
         let mut command =
             cargo("build --tests --examples --keep-going --message-format=json-render-diagnostics");
         command.arg("--manifest-path").arg(package.join("Cargo.toml"));
@@ -231,11 +232,7 @@ impl Source {
 
     fn write(&self, package: &Path) -> std::io::Result<()> {
         for folder in ["tests", "examples", "src"] {
-            let to = package.join(folder);
-            if to.exists() {
-                fs::remove_dir_all(&to)?;
-            }
-            fs::create_dir_all(&to)?;
+            files::make_empty(&package.join(folder))?;
         }
         for folder in ["tests", "examples"] {
             for entry in fs::read_dir(self.folder.join(folder))? {

@@ -6,11 +6,11 @@ mod demo;
 
 use crate::bench::{self, Name};
 use crate::build::Build;
+use crate::files::{self, read};
 use crate::machine::target_dir;
 use crate::steps::{self, execute};
 use crate::word;
 use clap::ValueEnum;
-use std::fs;
 use std::ops::Range;
 use std::path::Path;
 use std::process::Command;
@@ -111,11 +111,7 @@ fn update(document: &Path, part: Part, json: &Path) -> Result<(), String> {
 
 fn write(document: &Path, mark: &str, table: &str) -> Result<(), String> {
     let text = replace(&read(document)?, mark, table)?;
-    fs::write(document, text).map_err(|error| format!("{}: {error}", document.display()))
-}
-
-fn read(path: &Path) -> Result<String, String> {
-    fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))
+    files::write(document, text)
 }
 
 /// Replaces what stands between the marks.

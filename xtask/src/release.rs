@@ -7,7 +7,7 @@ use crate::guests::Architecture;
 use crate::machine::Scope;
 use crate::running::Running;
 use crate::steps::{Outcome, Steps, cargo, execute, stdout_of};
-use crate::{dist, lints, machine};
+use crate::{dist, files, lints, machine};
 use std::fs;
 use std::path::Path;
 use std::process::Command;
@@ -40,7 +40,7 @@ pub fn run(steps: &mut Steps, dry_run: bool) {
         // What was interrupted goes on with it.
         if let Some(text) = &dated {
             steps.step("release: day", || {
-                fs::write(machine::root().join("CHANGELOG.md"), text).map_err(|error| error.to_string())?;
+                files::write(&machine::root().join("CHANGELOG.md"), text)?;
                 execute(git("commit --quiet CHANGELOG.md").args(["--message", &format!("Release {VERSION}")]))
             });
         }
@@ -118,7 +118,7 @@ pub fn beside_another_version() -> Result<(), String> {
     let (own, other) = (Build::Tests.folder().join("examples/participant"), source.join("participant"));
     // Of the other one nobody reads lints.
     build(&source, cargo)?;
-    fs::copy(&own, &other).map_err(|error| format!("{}: {error}", other.display()))?;
+    fs::copy(&own, &other).map_err(files::at(&other))?;
     build(&machine::root(), lints::cargo)?;
 
     let (scope, end) = (Scope::new("versions"), Instant::now() + Duration::from_secs(60));
@@ -141,12 +141,12 @@ pub fn beside_another_version() -> Result<(), String> {
 /// Gives a copy of this commit another number of its participants' layout.
 fn count_up(path: &Path) -> Result<(), String> {
     const LINE: &str = "pub(crate) const VERSION: u32 = ";
-    let text = fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
+    let text = files::read(path)?;
     let other = text.replacen(LINE, &format!("{LINE}1000 + "), 1);
     if other == text {
         return Err(format!("{} has no `{LINE}`", path.display()));
     }
-    fs::write(path, other).map_err(|error| format!("{}: {error}", path.display()))
+    files::write(path, other)
 }
 
 /// The newest one that is part of this commit's history.
@@ -162,7 +162,7 @@ fn git(arguments: &str) -> Command {
 }
 
 fn read(path: &str) -> Result<String, String> {
-    std::fs::read_to_string(machine::root().join(path)).map_err(|error| format!("{path}: {error}"))
+    files::read(&machine::root().join(path))
 }
 
 fn clean_tree() -> Result<(), String> {

@@ -2,12 +2,12 @@
 //! A real ROS 2 from PyPI, in a Python environment under the target directory: rclpy, Fast DDS, message packages.
 
 use crate::steps::execute;
-use crate::{machine, r2r, word};
+use crate::{files, machine, r2r, word};
 use clap::ValueEnum;
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::{Mutex, PoisonError};
-use std::{fs, io};
 
 /// Those that PyPI has.
 #[derive(Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
@@ -119,19 +119,16 @@ pub fn make_venv(
     wheels: &[&str],
     python: impl FnOnce() -> Result<String, String>,
 ) -> Result<(), String> {
-    let say = |error: io::Error| format!("{}: {error}", venv.display());
+    let say = files::at(venv);
     // Written last: what was interrupted is made anew.
     let (complete, names) = (venv.join("wheels.txt"), wheels.join("\n"));
     if fs::read_to_string(&complete).is_ok_and(|there| there == names) {
         return Ok(());
     }
     let python = python()?;
-    if venv.exists() {
-        fs::remove_dir_all(venv).map_err(say)?;
-    }
+    files::remove(venv).map_err(say)?;
     // The wheels' packages are none of a workspace that this repository is in.
-    fs::create_dir_all(machine::target_dir()).map_err(say)?;
-    fs::write(machine::target_dir().join("COLCON_IGNORE"), "").map_err(say)?;
+    files::write(&machine::target_dir().join("COLCON_IGNORE"), "")?;
     let made = execute(Command::new(&python).args(["-m", "venv"]).arg(venv));
     made.map_err(|reason| format!("{python} -m venv: {reason}"))?;
     let mut install = Command::new(venv.join("bin/pip"));

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Sentences of the documents whose numbers the code defines: each is named with its definition, so that neither changes alone.
 
-use crate::machine;
+use crate::{files, machine};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -33,7 +33,10 @@ fn the_numbers_of_the_documents_are_those_of_the_code() {
 fn as_many_definitions_are_bundled_as_the_documents_say() {
     let folder = machine::root().join("msgs/ros/definitions");
     let packages = fs::read_dir(&folder).unwrap().flatten().filter(|entry| entry.path().is_dir()).count();
-    let files = files_of(&folder, &["msg", "srv", "action"]);
+    let files = files::below(&folder).unwrap();
+    let is_definition =
+        |file: &&PathBuf| ["msg", "srv", "action"].iter().any(|kind| file.extension() == Some(kind.as_ref()));
+    let files: Vec<_> = files.iter().filter(is_definition).collect();
     let bytes: u64 = files.iter().map(|file| file.metadata().unwrap().len()).sum();
     let sentence = format!("the bundled definitions, {} files with {} KB of text", files.len(), bytes / 1000);
     assert!(prose("docs/messages.md").contains(&sentence), "{sentence}");
@@ -234,7 +237,7 @@ fn prose(page: &str) -> String {
 }
 
 fn read(path: &Path) -> String {
-    fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+    files::read(path).unwrap()
 }
 
 /// The Rust files of a folder, or the one file that is named.
@@ -242,26 +245,6 @@ fn sources(path: &Path) -> Vec<PathBuf> {
     if path.is_file() {
         return vec![path.to_owned()];
     }
-    files_of(path, &["rs"])
-}
-
-fn files_of(folder: &Path, extensions: &[&str]) -> Vec<PathBuf> {
-    let mut files = Vec::new();
-    let mut folders = vec![folder.to_owned()];
-    while let Some(folder) = folders.pop() {
-        for entry in
-            fs::read_dir(&folder).unwrap_or_else(|error| panic!("{}: {error}", folder.display())).flatten()
-        {
-            let path = entry.path();
-            let is_listed =
-                |extension: &std::ffi::OsStr| extensions.iter().any(|listed| extension == *listed);
-            if path.is_dir() {
-                folders.push(path);
-            } else if path.extension().is_some_and(is_listed) {
-                files.push(path);
-            }
-        }
-    }
-    files.sort();
-    files
+    let files = files::below(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    files.into_iter().filter(|file| file.extension().is_some_and(|extension| extension == "rs")).collect()
 }

@@ -3,6 +3,7 @@
 
 use super::VERSION;
 use crate::build::Build;
+use crate::files::{self, write};
 use crate::machine;
 use crate::steps::{cargo, execute, json_of};
 use std::fs;
@@ -46,13 +47,12 @@ pub fn make(out: &Path, of: Build) -> Result<(), String> {
     execute(&mut package)?;
     let work = out.join("work/crates");
     for folder in [&to, &work] {
-        let _ = fs::remove_dir_all(folder);
-        fs::create_dir_all(folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+        files::make_empty(folder).map_err(files::at(folder))?;
     }
     for name in &names {
         let file = format!("{name}-{VERSION}.crate");
-        let copied = fs::copy(target.join("package").join(&file), to.join(&file));
-        copied.map_err(|error| format!("{file}: {error}"))?;
+        let from = target.join("package").join(&file);
+        fs::copy(&from, to.join(&file)).map_err(files::at(&from))?;
     }
     match of {
         Build::Release => use_registry(&names, &to, &work),
@@ -80,7 +80,7 @@ fn use_registry(names: &[String], crates: &Path, work: &Path) -> Result<(), Stri
     execute(&mut from_registry("build --package program"))?;
     let mut install = from_registry("install --debug --no-track --root installed");
     execute(install.args(["--version", VERSION]).args(super::PACKAGES))?;
-    fs::remove_dir_all(work).map_err(|error| format!("{}: {error}", work.display()))
+    fs::remove_dir_all(work).map_err(files::at(work))
 }
 
 /// Checks the program with what is built already: other packages have the versions and, where much is built, the features that the repository's builds
@@ -94,8 +94,7 @@ fn use_patch(names: &[String], crates: &Path, work: &Path) -> Result<(), String>
         &format!("[patch.crates-io]\n{}", names.iter().map(patch).collect::<String>()),
         &format!("xtask-host-features = {{ path = {:?} }}\n", root.join("xtask/host-features")),
     )?;
-    let locked = fs::copy(root.join("Cargo.lock"), work.join("Cargo.lock"));
-    locked.map_err(|error| format!("{}: {error}", work.display()))?;
+    fs::copy(root.join("Cargo.lock"), work.join("Cargo.lock")).map_err(files::at(work))?;
     let mut check = cargo("check --offline --package program --target-dir");
     execute(check.arg(machine::target_dir()).current_dir(work))
 }
@@ -129,11 +128,6 @@ tautline-r2r = "{VERSION}"
     write(&work.join("program/msgs/demo_msgs/msg/Speed.msg"), "float64 value\n")?;
     write(&work.join("program/build.rs"), BUILD)?;
     write(&work.join("program/src/main.rs"), PROGRAM)
-}
-
-fn write(path: &Path, text: &str) -> Result<(), String> {
-    let made = path.parent().map_or(Ok(()), fs::create_dir_all);
-    made.and_then(|()| fs::write(path, text)).map_err(|error| format!("{}: {error}", path.display()))
 }
 
 /// Names of the packages that are not kept from it. Each has what crates.io and docs.rs show.

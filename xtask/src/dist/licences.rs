@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The licence texts of what a program contains of others, which are to be passed on with it: from the packages that cargo has unpacked.
 
-use crate::machine;
 use crate::steps::{cargo, json_of};
+use crate::{files, machine};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -25,7 +25,7 @@ pub fn of(manifest: &str, packages: &[&str], target: &str) -> Result<String, Str
         let word = |key: &str| package[key].as_str().unwrap_or_default();
         let name = format!("{} {} ({})", word("name"), word("version"), word("license"));
         let folder = Path::new(word("manifest_path")).with_file_name("");
-        let mut found = texts_in(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+        let mut found = texts_in(&folder).map_err(files::at(&folder))?;
         if found.is_empty() {
             // It names its licence alone.
             found.insert(format!("No text is in the package: see {}\n", word("repository")));

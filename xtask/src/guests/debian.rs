@@ -2,12 +2,12 @@
 //! Debian's packages of any architecture, unpacked under the target directory: nothing is installed.
 
 use crate::steps::{Outcome, execute, stdout_of};
-use crate::{machine, packages};
+use crate::{files, machine, packages};
 use clap::ValueEnum;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::{fmt, fs, io};
+use std::{fmt, fs};
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Architecture {
@@ -87,7 +87,7 @@ fn apt(program: &str, architecture: Architecture) -> Result<Command, String> {
     let own = folder().join(format!("apt-{architecture}"));
     let cache = own.join("cache");
     for folder in [own.join("lists/partial"), cache.join("archives/partial")] {
-        fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+        fs::create_dir_all(&folder).map_err(files::at(&folder))?;
     }
     let mut command = Command::new(program);
     command.arg("--quiet").args([
@@ -101,7 +101,7 @@ fn apt(program: &str, architecture: Architecture) -> Result<Command, String> {
         && let Some(sources) = next_release()?
     {
         let list = own.join("sources.list");
-        fs::write(&list, sources).map_err(|error| format!("{}: {error}", list.display()))?;
+        files::write(&list, sources)?;
         command.arg(format!("-oDir::Etc::SourceList={}", list.display())).arg("-oDir::Etc::SourceParts=-");
     }
     Ok(command)
@@ -151,25 +151,27 @@ pub fn unpack(
     if is_complete(to) {
         return Ok(());
     }
-    let say = |error: io::Error| format!("{}: {error}", to.display());
-    if to.exists() {
-        fs::remove_dir_all(to).map_err(say)?;
-    }
-    fs::create_dir_all(to).map_err(say)?;
+    files::make_empty(to).map_err(files::at(to))?;
     let mut all = String::new();
     for (architecture, package) in packages()? {
         let fetched = execute(apt("apt-get", architecture)?.args(["download", &package]).current_dir(to));
         fetched
             .map_err(|reason| format!("{package} cannot be downloaded ({reason}): is there a network?"))?;
-        for file in fs::read_dir(to).map_err(say)?.flatten().map(|entry| entry.path()) {
-            if file.extension().is_some_and(|ending| ending == "deb") {
-                execute(Command::new("dpkg").arg("-x").arg(&file).arg(to))?;
-                fs::remove_file(&file).map_err(say)?;
-            }
-        }
+        unpack_all(to)?;
         all += &format!("{package} {architecture}\n");
     }
-    fs::write(to.join(LIST), all).map_err(say)
+    files::write(&to.join(LIST), all)
+}
+
+/// Unpacks packages that were downloaded to a folder there.
+pub fn unpack_all(folder: &Path) -> Result<(), String> {
+    for file in fs::read_dir(folder).map_err(files::at(folder))?.flatten().map(|entry| entry.path()) {
+        if file.extension().is_some_and(|ending| ending == "deb") {
+            execute(Command::new("dpkg").arg("-x").arg(&file).arg(folder))?;
+            fs::remove_file(&file).map_err(files::at(&file))?;
+        }
+    }
+    Ok(())
 }
 
 /// Written last: what was interrupted is made anew.

@@ -2,6 +2,7 @@
 //! A guest while it runs, and what it says.
 
 use super::debian::{self, Architecture};
+use crate::files;
 use crate::running::Running;
 use std::cell::RefCell;
 use std::path::Path;
@@ -50,7 +51,7 @@ pub fn run(name: &str, of: Architecture, kernel: &Path, image: &Path) -> Result<
     let mut report = report.into_inner();
     report.took = start.elapsed();
     let log = debian::folder().join(format!("{name}.log"));
-    std::fs::write(&log, &said).map_err(|error| format!("{}: {error}", log.display()))?;
+    files::write(&log, &said)?;
     if report.has_ended {
         return Ok(report);
     }

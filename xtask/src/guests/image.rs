@@ -2,6 +2,7 @@
 //! The file system that a guest starts with: an archive in the format that the kernel reads (cpio, newc).
 
 use super::debian::Architecture;
+use crate::files;
 use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
@@ -81,7 +82,7 @@ impl Image {
 /// The kernel of a system.
 pub fn kernel(system: &Path) -> Result<PathBuf, String> {
     let boot = system.join("boot");
-    let names = fs::read_dir(&boot).map_err(|error| format!("{}: {error}", boot.display()))?;
+    let names = fs::read_dir(&boot).map_err(files::at(&boot))?;
     let mut kernels =
         names.flatten().filter(|file| file.file_name().to_string_lossy().starts_with("vmlinuz"));
     kernels.next().map(|kernel| kernel.path()).ok_or_else(|| format!("{} has no kernel", boot.display()))
@@ -90,20 +91,9 @@ pub fn kernel(system: &Path) -> Result<PathBuf, String> {
 /// The file of a system with the same name as this one, wherever its Debian puts it.
 fn find(system: &Path, file: &str) -> io::Result<PathBuf> {
     let name = Path::new(file).file_name();
-    let mut folders = vec![system.to_owned()];
-    while let Some(folder) = folders.pop() {
-        for entry in fs::read_dir(folder)?.flatten() {
-            match entry.file_type()?.is_dir() {
-                true => folders.push(entry.path()),
-                // No link to what is in another package.
-                false if Some(&*entry.file_name()) == name && entry.path().is_file() => {
-                    return Ok(entry.path());
-                }
-                false => {}
-            }
-        }
-    }
-    Err(io::Error::other(format!("{} has no {file}", system.display())))
+    // No link to what is in another package.
+    let found = files::below(system)?.into_iter().find(|path| path.file_name() == name && path.is_file());
+    found.ok_or_else(|| io::Error::other(format!("{} has no {file}", system.display())))
 }
 
 #[cfg(test)]

@@ -52,8 +52,9 @@ fn line<'a>(cells: impl IntoIterator<Item = &'a str>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::files::read;
     use crate::machine;
-    use crate::readme::{marked, read};
+    use crate::readme::marked;
 
     #[test]
     fn an_excerpt_has_the_rows_and_columns_that_it_names() {

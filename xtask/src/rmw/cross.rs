@@ -7,11 +7,11 @@ use crate::build;
 use crate::guests::Architecture;
 use crate::guests::debian;
 use crate::steps::{Outcome, cargo, execute, stdout_of};
-use crate::{packages, r2r, ros};
+use crate::{files, packages, r2r, ros};
+use std::fs;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::{fs, io};
 
 /// What `rmw/build.rs` links with.
 const LINKED: [&str; 4] = ["librmw", "librcutils", "librosidl_runtime_c", "libfastcdr"];
@@ -55,7 +55,7 @@ int main(void) {
 ";
     let (gcc, prefix) = (architecture.tool("gcc"), make_prefix(architecture)?);
     let (source, load) = (prefix.join("load.c"), prefix.join("load"));
-    fs::write(&source, LOAD).map_err(|error| format!("{}: {error}", source.display()))?;
+    files::write(&source, LOAD)?;
     execute(Command::new(&gcc).arg("-o").arg(&load).arg(&source).arg("-Wl,-rpath,$ORIGIN"))?;
     let cpp = stdout_of(Command::new(&gcc).arg("-print-file-name=libstdc++.so.6"))?;
     let mut all = vec![
@@ -72,9 +72,8 @@ int main(void) {
 fn make_prefix(architecture: Architecture) -> Result<PathBuf, String> {
     let (here, prefix) = (r2r::wheels()?, ros::folder().join(format!("prefix-{architecture}")));
     let lib = prefix.join("lib");
-    let say = |error: io::Error| format!("{}: {error}", prefix.display());
-    let _ = fs::remove_dir_all(&prefix);
-    fs::create_dir_all(&lib).map_err(say)?;
+    let say = files::at(&prefix);
+    files::remove(&prefix).and_then(|()| fs::create_dir_all(&lib)).map_err(say)?;
     symlink(here.join("include"), prefix.join("include")).map_err(say)?;
     for name in LINKED {
         let library = here.join("lib").join(name).with_extension("so");
@@ -82,7 +81,7 @@ fn make_prefix(architecture: Architecture) -> Result<PathBuf, String> {
             Command::new("nm").args(["--dynamic", "--defined-only", "--format=posix"]).arg(&library),
         )?;
         let source = lib.join(name).with_extension("s");
-        fs::write(&source, assembly(&names)).map_err(say)?;
+        files::write(&source, assembly(&names))?;
         let said = stdout_of(Command::new("objdump").arg("-p").arg(&library))?;
         let soname = said.lines().find_map(|line| line.trim().strip_prefix("SONAME")).unwrap_or_default();
         let soname = soname.trim();

@@ -3,7 +3,7 @@
 //! machine to what builds.
 
 use super::{Done, Outcome, Steps, TIMINGS, announce, only, variables};
-use crate::machine;
+use crate::{files, machine};
 use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -64,15 +64,14 @@ impl Steps {
     /// Instead of [`finish`](Self::finish), for the process of a job: writes down how its steps ended.
     pub fn hand_over(self, path: &Path) -> Result<(), String> {
         let written = serde_json::to_vec(&self.done).map_err(io::Error::from);
-        let written = written.and_then(|written| fs::write(path, written));
-        written.map_err(|error| format!("{}: {error}", path.display()))
+        written.and_then(|written| fs::write(path, written)).map_err(files::at(path))
     }
 }
 
 /// What [`Steps::hand_over`] has written.
 fn read(path: &Path) -> Result<Vec<Done>, String> {
     let done = fs::read(path).and_then(|text| Ok(serde_json::from_slice(&text)?));
-    done.map_err(|error| format!("{}: {error}", path.display()))
+    done.map_err(files::at(path))
 }
 
 #[cfg(test)]
