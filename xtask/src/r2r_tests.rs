@@ -119,8 +119,7 @@ impl Program {
 pub fn build(steps: &mut Steps) -> Built {
     let mut built = Built::default();
     steps.step("r2r-tests: build", || {
-        let (targets, executables) = Source::find()?.build()?;
-        built = Built { targets, executables };
+        built = Source::find()?.build()?;
         let is_left = |target: &&Target| !built.executables.contains_key(*target);
         let left: Vec<&str> = built.targets.iter().filter(is_left).map(|(_, name)| &**name).collect();
         if left.is_empty() { Ok(()) } else { Err(format!("not built: {}", left.join(", "))) }
@@ -143,33 +142,31 @@ impl Built {
                 test(self.executables.get(target).ok_or("not built")?)
             });
         }
-        examples(steps, &self.targets, &self.executables);
+        self.examples(steps);
     }
-}
 
-/// Runs all at once: most of them wait.
-fn examples(steps: &mut Steps, targets: &BTreeSet<Target>, built: &BTreeMap<Target, PathBuf>) {
-    let example = |name: &str| ("example".to_owned(), name.to_owned());
-    std::thread::scope(|scope| {
-        let start = |run: &'static [Program]| {
-            let paths: Option<Vec<&PathBuf>> =
-                run.iter().map(|program| built.get(&example(program.name()))).collect();
-            (run, paths.map(|paths| scope.spawn(move || together(run, &paths))))
-        };
-        let started: Vec<_> = RUNS.into_iter().map(start).collect();
-        for (run, running) in started {
-            let names: Vec<&str> = run.iter().map(Program::name).collect();
-            steps.step(&format!("r2r-tests: example {}", names.join(" + ")), || {
-                running.ok_or("not built")?.join().unwrap_or(Err("this program panicked".to_owned()))
-            });
-        }
-    });
-    let run: BTreeSet<Target> =
-        RUNS.iter().flat_map(|run| run.iter()).map(|program| example(program.name())).collect();
-    for (_, name) in targets.iter().filter(|target| target.0 == "example" && !run.contains(*target)) {
-        steps.step(&format!("r2r-tests: example {name}"), || {
-            Err("nothing here says how to run it".to_owned())
+    /// Runs all at once: most of them wait.
+    fn examples(&self, steps: &mut Steps) {
+        let example = |program: &Program| ("example".to_owned(), program.name().to_owned());
+        std::thread::scope(|scope| {
+            let start = |run: &'static [Program]| {
+                let paths = run.iter().map(|program| self.executables.get(&example(program)));
+                let paths: Option<Vec<&PathBuf>> = paths.collect();
+                (run, paths.map(|paths| scope.spawn(move || together(run, &paths))))
+            };
+            let started: Vec<_> = RUNS.into_iter().map(start).collect();
+            for (run, running) in started {
+                let names: Vec<&str> = run.iter().map(Program::name).collect();
+                steps.step(&format!("r2r-tests: example {}", names.join(" + ")), || {
+                    running.ok_or("not built")?.join().unwrap_or(Err("this program panicked".to_owned()))
+                });
+            }
         });
+        let run: BTreeSet<Target> = RUNS.iter().flat_map(|run| run.iter()).map(example).collect();
+        for (_, name) in self.targets.iter().filter(|of| of.0 == "example" && !run.contains(*of)) {
+            let reason = "nothing here says how to run it".to_owned();
+            steps.step(&format!("r2r-tests: example {name}"), || Err(reason));
+        }
     }
 }
 
@@ -212,8 +209,8 @@ impl Source {
         })
     }
 
-    /// Makes a package of the tests and the examples and builds what can be built. Returns all, and the executables.
-    fn build(self) -> Result<(BTreeSet<Target>, BTreeMap<Target, PathBuf>), String> {
+    /// Makes a package of the tests and the examples and builds what can be built.
+    fn build(self) -> Result<Built, String> {
         let package = machine::target_dir().join("r2r-tests");
         self.write(&package).map_err(files::at(&package))?;
         let mut command =
@@ -227,7 +224,7 @@ impl Source {
         let messages = String::from_utf8_lossy(&output.stdout);
         let executables =
             messages.lines().filter_map(|line| executable(&serde_json::from_str(line).ok()?)).collect();
-        Ok((self.targets, executables))
+        Ok(Built { targets: self.targets, executables })
     }
 
     fn write(&self, package: &Path) -> std::io::Result<()> {
