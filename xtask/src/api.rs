@@ -108,6 +108,11 @@ impl Crate {
         self.index.get(&id.to_string())
     }
 
+    fn public_item(&self, id: &Value) -> Option<Value> {
+        let item = self.item(id)?;
+        ["public", "default"].iter().any(|known| item["visibility"] == *known).then(|| item.clone())
+    }
+
     /// The crate and the name of what an identifier stands for.
     fn definition(&self, id: &Value) -> Option<Definition> {
         let path = self.paths.get(&id.to_string())?["path"].as_array()?;
@@ -119,6 +124,7 @@ impl Crate {
 /// Crate and name. Two types of one name in a crate would be taken for one: there are none but what is in [`SEALED`].
 type Definition = (String, String);
 
+#[derive(Default)]
 struct Surface {
     crates: HashMap<String, Crate>,
     lines: BTreeSet<String>,
@@ -144,23 +150,8 @@ impl Surface {
             .filter(|(name, _)| name.starts_with(OURS) && name != GENERATED);
         let crates: HashMap<String, Crate> =
             ours.map(|(name, path)| Ok((name, Crate::read(path)?))).collect::<Result<_, String>>()?;
-        let mut surface = Surface {
-            crates,
-            lines: BTreeSet::new(),
-            exported: HashMap::new(),
-            named: BTreeMap::new(),
-            unnameable: BTreeMap::new(),
-            foreign: BTreeMap::new(),
-            globs: Vec::new(),
-            first: HashMap::new(),
-            seen: HashSet::new(),
-        };
-        let root = surface
-            .crates
-            .get(CRATE)
-            .ok_or(format!("{CRATE} is not documented without clippy"))?
-            .root
-            .clone();
+        let root = crates.get(CRATE).ok_or(format!("{CRATE} is not documented without clippy"))?.root.clone();
+        let mut surface = Surface { crates, ..Surface::default() };
         surface.module(CRATE, &root, CRATE);
         for (definition, user) in &surface.named {
             if !surface.exported.contains_key(definition)
@@ -182,10 +173,7 @@ impl Surface {
 
     /// An item, by the name that it is exported under.
     fn item(&mut self, owner: &str, id: &Value, path: &str, exported: Option<&str>) {
-        let Some(item) = self.crates[owner].item(id).cloned() else { return };
-        if item["visibility"] != "public" && item["visibility"] != "default" {
-            return;
-        }
+        let Some(item) = self.crates[owner].public_item(id) else { return };
         let Some((kind, inner)) = item["inner"].as_object().and_then(|inner| inner.iter().next()) else {
             return;
         };
@@ -227,10 +215,9 @@ impl Surface {
 
     /// A method, a field, a variant.
     fn member(&mut self, owner: &str, id: &Value, path: &str) {
-        let Some(item) = self.crates[owner].item(id).cloned() else { return };
-        let is_public = item["visibility"] == "public" || item["visibility"] == "default";
+        let Some(item) = self.crates[owner].public_item(id) else { return };
         let is_hidden = item["attrs"].to_string().contains("doc(hidden)");
-        let Some(name) = item["name"].as_str().filter(|_| is_public && !is_hidden) else { return };
+        let Some(name) = item["name"].as_str().filter(|_| !is_hidden) else { return };
         let path = format!("{path}::{name}");
         self.declare(owner, &item, &path);
         let kind = &item["inner"]["variant"]["kind"];
@@ -271,9 +258,8 @@ impl Surface {
         }
         let kind = self.crates[owner].paths[&id.to_string()]["kind"].clone();
         let is_it = |(id, told): &(&String, &Value)| {
-            let last = told["path"].as_array().and_then(|path| path.last());
             told["kind"] == kind
-                && last.is_some_and(|last| *last == original.as_str())
+                && told["path"].as_array().and_then(|path| path.last()?.as_str()) == Some(&*original)
                 && self.crates[&other].index.get(*id).is_some_and(|item| item["visibility"] == "public")
         };
         let found = self.crates[&other].paths.iter().filter(is_it).map(|(id, _)| id.clone()).min();
