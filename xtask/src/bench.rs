@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The benches: what takes part in one is built, and what it is told is passed on to its own program.
 
-use crate::build::{Build, build};
+use crate::build::Build;
 use crate::steps::{cargo, execute};
 use crate::{bridge, compare, lab, r2r, rmw, word};
 use clap::{Arg, ArgMatches, FromArgMatches, Subcommand, ValueEnum};
@@ -91,7 +91,7 @@ pub fn command(name: Name, told: &[String], of: Build) -> Result<Command, String
     }
     match name {
         // It runs the `taut` of this build.
-        Name::Tools if of == Build::Release => build(&mut cargo("build --release -p taut -p taut-top"))?,
+        Name::Tools => _ = of.with(&mut cargo("build --release -p taut -p taut-top"))?,
         Name::Wake | Name::Compare | Name::Network | Name::Services => {
             command.arg(format!("--bench={}", word(name)));
             let rivals = compare::rivals(&word(name), &values(&told, "--systems"));

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The bridge to ROS 2: its lints and its tests, against the ROS 2 that is sourced or the one under the target directory.
 
-use crate::build::{Build, TARGETS, WHOLE as WORKSPACE, build};
+use crate::build::{Build, TARGETS, WHOLE as WORKSPACE};
 use crate::r2r::Environment;
 use crate::ros::Distribution;
 use crate::steps::{Steps, cargo};
@@ -88,9 +88,7 @@ pub fn with_libraries<'c>(environment: &Environment, command: &'c mut Command) -
 /// The bench, of a release build with the bridge and r2r's side, some minutes from cold.
 pub fn bench(of: Build) -> Result<Command, String> {
     let environment = r2r::environment()?;
-    if of == Build::Release {
-        build(with_libraries(&environment, &mut cargo(&format!("build --release {BRIDGE} --bins"))))?;
-    }
+    of.with(with_libraries(&environment, &mut cargo(&format!("build --release {BRIDGE} --bins"))))?;
     let program = lab::folder_with_ros(of, &environment, "-p tautline-bench-bridge")?.join("bench-bridge");
     let mut command = Command::new(&program);
     if of == Build::Tests {

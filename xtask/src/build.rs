@@ -53,6 +53,14 @@ pub fn build(command: &mut Command) -> Result<(), String> {
 }
 
 impl Build {
+    /// Has this command build for a release; what it builds is there for the tests. Says where.
+    pub fn with(self, command: &mut Command) -> Result<PathBuf, String> {
+        if self == Build::Release {
+            build(command)?;
+        }
+        Ok(self.folder())
+    }
+
     /// Where its programs are.
     pub fn folder(self) -> PathBuf {
         machine::target_dir().join(match self {

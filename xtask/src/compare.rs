@@ -136,10 +136,7 @@ fn build_taut(build: Build) -> Result<PathBuf, String> {
 
 /// Where a package of this workspace is built; that of the tests has all of them.
 fn folder_with(of: Build, package: &str) -> Result<PathBuf, String> {
-    if of == Build::Release {
-        build(&mut steps::cargo(&format!("build --release -p {package}")))?;
-    }
-    Ok(of.folder())
+    of.with(&mut steps::cargo(&format!("build --release -p {package}")))
 }
 
 /// Fetches packages and unpacks them to a folder.

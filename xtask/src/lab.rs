@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The laboratory, `benches/`: a workspace of its own, which is built into the product's target directory.
 
-use crate::build::{Build, TARGETS, build};
+use crate::build::{Build, TARGETS};
 use crate::r2r::Environment;
 use crate::steps::{self, Steps, cargo_with};
 use crate::{bridge, lints, machine};
@@ -37,18 +37,12 @@ pub fn program(of: Build, package: &str, name: &str) -> Command {
 
 /// Builds packages, `-p` before each, for a release; those of the tests' build are there. Says where they are.
 pub fn folder_with(of: Build, packages: &str) -> Result<PathBuf, String> {
-    if of == Build::Release {
-        build(&mut cargo(&format!("build --release {packages}")))?;
-    }
-    Ok(of.folder())
+    of.with(&mut cargo(&format!("build --release {packages}")))
 }
 
 /// As [`folder_with`], with a ROS 2.
 pub fn folder_with_ros(of: Build, environment: &Environment, packages: &str) -> Result<PathBuf, String> {
-    if of == Build::Release {
-        build(bridge::with_libraries(environment, &mut cargo(&format!("build --release {packages}"))))?;
-    }
-    Ok(of.folder())
+    of.with(bridge::with_libraries(environment, &mut cargo(&format!("build --release {packages}"))))
 }
 
 /// Builds what needs no ROS 2, and runs its tests. Says whether it was built.
