@@ -3,10 +3,9 @@
 
 use crate::r2r::Environment;
 use crate::steps::{Outcome, Steps, announce, execute};
-use crate::{machine, packages, r2r, ros};
+use crate::{files, machine, packages, r2r, ros};
 use std::path::Path;
 use std::process::Command;
-use std::{env, fs};
 
 /// colcon-cargo, with which every crate may be a package.
 const CARGO: &str =
@@ -57,10 +56,8 @@ pub fn test(steps: &mut Steps, environment: &Environment) {
         command.current_dir(&workspace).envs(environment.clone());
         command.env("CARGO_TARGET_DIR", machine::target_dir());
         if has_wheels {
-            let folders = [ros::venv().join("bin")].into_iter();
-            let path = env::var_os("PATH").unwrap_or_default();
-            let path = env::join_paths(folders.chain(env::split_paths(&path))).expect("they were joined");
-            command.env("PATH", path).env("VIRTUAL_ENV", ros::venv());
+            let venv = ros::venv();
+            command.env("PATH", machine::path_with("PATH", &venv.join("bin"))).env("VIRTUAL_ENV", venv);
         }
         command
     };
@@ -68,8 +65,7 @@ pub fn test(steps: &mut Steps, environment: &Environment) {
 }
 
 fn check(workspace: &Path, command: impl Fn(&str) -> Command) -> Result<(), String> {
-    let _ = fs::remove_dir_all(workspace);
-    fs::create_dir_all(workspace).map_err(|error| error.to_string())?;
+    files::make_empty(workspace).map_err(files::at(workspace))?;
     let source = ["--base-paths".into(), machine::root()];
     for without in ["", CARGO] {
         let mut list = command("colcon");

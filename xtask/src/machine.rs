@@ -2,6 +2,7 @@
 //! Where things are built, and what this user may do here.
 
 use crate::files;
+use std::ffi::OsString;
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
@@ -31,6 +32,13 @@ pub fn script(name: &str, line: &str) -> Result<PathBuf, String> {
     let written =
         fs::write(&path, text).and_then(|()| fs::set_permissions(&path, fs::Permissions::from_mode(0o755)));
     written.map(|()| path.clone()).map_err(files::at(&path))
+}
+
+/// The value of a variable such as PATH with this folder before the others.
+pub fn path_with(variable: &str, folder: &Path) -> OsString {
+    let others = std::env::var_os(variable).unwrap_or_default();
+    let folders = std::iter::once(folder.to_owned()).chain(std::env::split_paths(&others));
+    std::env::join_paths(folders).unwrap_or(others)
 }
 
 /// Whether nothing may be skipped that needs a privilege.

@@ -446,12 +446,10 @@ fn stress_kills(steps: &mut Steps, build: Build, kills: u64, seed: Option<u64>, 
     }
     let folder = build.folder();
     // Before what cargo has put there for this program, which has another build of the same library.
-    let before = std::env::var_os("LD_LIBRARY_PATH").unwrap_or_default();
-    let libraries =
-        std::env::join_paths(std::iter::once(folder.clone()).chain(std::env::split_paths(&before)));
+    let libraries = machine::path_with("LD_LIBRARY_PATH", &folder);
     let command = |arguments: &str| {
         let mut command = Command::new(folder.join("kills"));
-        command.envs(libraries.as_ref().ok().map(|libraries| ("LD_LIBRARY_PATH", libraries)));
+        command.env("LD_LIBRARY_PATH", &libraries);
         command.args(arguments.split(' ')).args(seed.map(|seed| format!("--seed={seed}")));
         command
     };

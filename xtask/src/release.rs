@@ -92,9 +92,7 @@ pub fn semver(is_made: bool) -> Outcome {
     let mut command = Command::new("cargo");
     command.args(["semver-checks", "--workspace", "--exclude", "taut"]);
     command.args(["--default-features", "--baseline-rev", &tag]);
-    let path = std::env::var_os("PATH").unwrap_or_default();
-    let path = std::iter::once(root.join("bin")).chain(std::env::split_paths(&path));
-    command.envs(std::env::join_paths(path).map(|path| ("PATH", path)));
+    command.env("PATH", machine::path_with("PATH", &root.join("bin")));
     execute(command.current_dir(machine::root())).into()
 }
 
