@@ -9,7 +9,7 @@ use serde_json::json;
 use std::pin::pin;
 use std::time::Duration;
 use support::node::{Spinning, fibonacci};
-use support::{BridgeProcess, Peer, ros};
+use support::{BridgeProcess, Peer, joined_nodes, ros};
 use tautline::test_msgs::action::Fibonacci;
 use tautline::{
     ActionServerGoal, ActionServerGoalRequest, CallbackHandle, CallbackOptions, Error, GoalStatus, Node,
@@ -86,11 +86,7 @@ fn ros_has_goals_pursued_here() {
 
 #[test]
 fn goals_from_here_are_pursued_in_ros() {
-    let Some(venv) = ros() else { return };
-    const DOMAIN: u32 = 21;
-    let _bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
-    let mut here = Spinning::new(DOMAIN, "here");
-    let mut peer = Peer::start_with_services(&venv, DOMAIN, "there");
+    let Some((_bridge, mut here, mut peer)) = joined_nodes(21) else { return };
     peer.tell(json!({ "do": "action_server", "name": "/fibonacci" }));
     let client = here.node.create_action_client::<Fibonacci::Action>("/fibonacci").unwrap();
     let available = client.wait_for_action_server().unwrap();

@@ -10,7 +10,7 @@ use std::cell::RefCell;
 use std::collections::BTreeSet;
 use support::gateway::link;
 use support::node::{Spinning, fibonacci, serve_echo};
-use support::{BridgeProcess, Peer, Program, STRING, ros, text_body, text_of, wait_until};
+use support::{BridgeProcess, Peer, Program, STRING, publish_texts, ros, text_of, wait_until};
 use tautline::rcl_interfaces::msg::{Parameter, ParameterValue};
 use tautline::rcl_interfaces::srv::{GetParameters, SetParameters};
 use tautline::test_msgs::action::Fibonacci;
@@ -57,9 +57,7 @@ impl<'p> Talker<'p> {
 
     fn publish(&self, texts: &[String]) {
         match self {
-            Talker::Here(publisher) => {
-                texts.iter().for_each(|text| publisher.publish(&text_body(text)).unwrap());
-            }
+            Talker::Here(publisher) => publish_texts(publisher, texts),
             Talker::There(peer, end) => peer.borrow_mut().publish_text(*end, texts),
         }
     }

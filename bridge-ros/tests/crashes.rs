@@ -6,8 +6,8 @@ mod support;
 use serde_json::json;
 use std::time::Instant;
 use support::{
-    BridgeProcess, Peer, STRING, matched, publisher, recovers, ros, subscription, take, take_texts,
-    text_body, wait_until,
+    BridgeProcess, Peer, STRING, joined, matched, publish_texts, publisher, recovers, ros, subscription,
+    take, take_texts, text_body, wait_until,
 };
 use tautline_transport::{Participant, Qos};
 
@@ -85,12 +85,8 @@ fn a_killed_bridge_and_a_killed_node_are_replaced() {
 
 #[test]
 fn bursts_as_long_as_the_queue_arrive_whole_and_in_order() {
-    let Some(venv) = ros() else { return };
-    const DOMAIN: u32 = 2;
     const BURST: usize = 1000;
-    let _bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
-    let participant = Participant::new(DOMAIN).unwrap();
-    let mut peer = Peer::start(&venv, DOMAIN, "bursts");
+    let Some((_bridge, participant, mut peer)) = joined(2, "bursts") else { return };
     let texts: Vec<String> = (0..BURST).map(|number| format!("{number}")).collect();
 
     let here = publisher(&participant, "/to_ros", STRING, Qos::keep_last(BURST));
@@ -98,9 +94,7 @@ fn bursts_as_long_as_the_queue_arrive_whole_and_in_order() {
     matched(&here, 1);
     // Printed, not judged: what Fast DDS's shared memory has no room for comes with its heartbeat of 3 s.
     let since = Instant::now();
-    for text in &texts {
-        here.publish(&text_body(text)).unwrap();
-    }
+    publish_texts(&here, &texts);
     assert_eq!(peer.take_texts(there, BURST), texts);
     println!("to ROS: {:?}", since.elapsed());
 
@@ -116,13 +110,9 @@ fn bursts_as_long_as_the_queue_arrive_whole_and_in_order() {
 
 #[test]
 fn images_of_8_mib() {
-    let Some(venv) = ros() else { return };
-    const DOMAIN: u32 = 3;
     const BYTES: usize = 8 << 20;
     const IMAGE: &str = "sensor_msgs/msg/Image";
-    let _bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
-    let participant = Participant::new(DOMAIN).unwrap();
-    let mut peer = Peer::start(&venv, DOMAIN, "images");
+    let Some((_bridge, participant, mut peer)) = joined(3, "images") else { return };
     let from_ros = subscription(&participant, "/from_ros", IMAGE, Qos::keep_last(5));
     let theirs = peer.publisher("/from_ros", IMAGE, json!({ "depth": 5 }));
     let here = publisher(&participant, "/to_ros", IMAGE, Qos::keep_last(5));

@@ -7,26 +7,20 @@ mod support;
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use support::{
-    BridgeProcess, Peer, STRING, matched, publisher, ros, scope, subscription, take_texts, text_body,
-    wait_until,
+    BridgeProcess, Peer, STRING, joined, matched, publish_texts, publisher, ros, scope, subscription,
+    take_texts, text_body, wait_until,
 };
 use tautline_transport::{EndpointKind, Participant, Qos};
 
 #[test]
 fn late_joiners_get_what_is_kept() {
-    let Some(venv) = ros() else { return };
-    const DOMAIN: u32 = 30;
-    let _bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
-    let participant = Participant::new(DOMAIN).unwrap();
-    let mut peer = Peer::start(&venv, DOMAIN, "latched");
+    let Some((_bridge, participant, mut peer)) = joined(30, "latched") else { return };
     let latched = json!({ "latched": true, "depth": 2 });
     let kept = Qos::keep_last(2).transient_local();
 
     // Published before anybody was there; two join one after the other.
     let here = publisher(&participant, "/to_ros", STRING, kept);
-    for text in ["old", "one", "two"] {
-        here.publish(&text_body(text)).unwrap();
-    }
+    publish_texts(&here, &["old", "one", "two"]);
     for _ in 0..2 {
         let there = peer.subscription("/to_ros", STRING, latched.clone());
         assert_eq!(peer.take_texts(there, 2), ["one", "two"]);
@@ -51,18 +45,12 @@ fn late_joiners_get_what_is_kept() {
 
 #[test]
 fn what_is_kept_stays_and_comes_once_though_ends_come_and_go() {
-    let Some(venv) = ros() else { return };
-    const DOMAIN: u32 = 31;
-    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
-    let participant = Participant::new(DOMAIN).unwrap();
-    let mut peer = Peer::start(&venv, DOMAIN, "latched");
+    let Some((bridge, participant, mut peer)) = joined(31, "latched") else { return };
     let latched = |depth: usize| json!({ "latched": true, "depth": depth });
 
     // To ROS: between two readers nobody listens, and the bridge takes nothing.
     let here = publisher(&participant, "/to_ros", STRING, Qos::keep_last(2).transient_local());
-    for text in ["one", "two"] {
-        here.publish(&text_body(text)).unwrap();
-    }
+    publish_texts(&here, &["one", "two"]);
     let first = peer.subscription("/to_ros", STRING, latched(2));
     assert_eq!(peer.take_texts(first, 2), ["one", "two"]);
     peer.tell(json!({ "do": "destroy", "end": first }));
@@ -202,9 +190,7 @@ fn names_directions_and_rates_of_a_file() {
     let slow = publisher(&participant, "/slow", STRING, Qos::default());
     let there = peer.subscription("/slow", STRING, json!({}));
     matched(&slow, 1);
-    for text in ["first", "second", "third"] {
-        slow.publish(&text_body(text)).unwrap();
-    }
+    publish_texts(&slow, &["first", "second", "third"]);
     assert_eq!(peer.take_texts(there, 1), ["first"]);
     wait_until("drops", || bridge.topic("/slow", "to_ros")["dropped"]["rate limit"] == 2);
 
@@ -232,11 +218,7 @@ fn names_directions_and_rates_of_a_file() {
 
 #[test]
 fn ends_that_do_not_fit_are_told_as_ros_tells_them() {
-    let Some(venv) = ros() else { return };
-    const DOMAIN: u32 = 11;
-    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
-    let participant = Participant::new(DOMAIN).unwrap();
-    let mut peer = Peer::start(&venv, DOMAIN, "misfits");
+    let Some((bridge, participant, mut peer)) = joined(11, "misfits") else { return };
     // Offered here, requested there.
     let _here = publisher(&participant, "/out", STRING, Qos::default().best_effort());
     let there = peer.subscription("/out", STRING, json!({}));

@@ -7,7 +7,7 @@ mod support;
 use futures::StreamExt;
 use serde_json::{Value, json};
 use support::node::Spinning;
-use support::{BridgeProcess, Peer, ros, wait_until};
+use support::{BridgeProcess, Peer, joined_nodes, ros, wait_until};
 use tautline::geometry_msgs::msg::TransformStamped;
 use tautline::{CallbackHandle, CallbackOptions, Clock, ParameterDescriptor, Qos};
 
@@ -67,11 +67,7 @@ fn parameters_of_a_node_here_are_got_set_listed_and_described_by_ros() {
 
 #[test]
 fn ros_reads_what_is_logged_here() {
-    let Some(venv) = ros() else { return };
-    const DOMAIN: u32 = 23;
-    let _bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
-    let here = Spinning::new(DOMAIN, "here");
-    let mut peer = Peer::start_with_services(&venv, DOMAIN, "there");
+    let Some((_bridge, here, mut peer)) = joined_nodes(23) else { return };
     // A late joiner gets what was logged before, as of ROS 2's nodes.
     tautline::log_warn!(here.node.logger(), "before");
     let lines =
@@ -92,11 +88,7 @@ fn ros_reads_what_is_logged_here() {
 
 #[test]
 fn a_simulator_in_ros_gives_the_time_here() {
-    let Some(venv) = ros() else { return };
-    const DOMAIN: u32 = 24;
-    let _bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
-    let here = Spinning::new(DOMAIN, "here");
-    let mut peer = Peer::start_with_services(&venv, DOMAIN, "there");
+    let Some((_bridge, here, mut peer)) = joined_nodes(24) else { return };
     let clock = peer.publisher("/clock", "rosgraph_msgs/msg/Clock", json!({ "depth": 1 }));
     here.node.set_parameter("use_sim_time", true).unwrap();
     peer.matched(clock, 1);
@@ -111,11 +103,7 @@ fn a_simulator_in_ros_gives_the_time_here() {
 /// Transforms are of `tf2_msgs/msg/TFMessage`, which is in no wheel: these are the ones that it consists of.
 #[test]
 fn late_joiners_get_latched_transforms_on_both_sides() {
-    let Some(venv) = ros() else { return };
-    const DOMAIN: u32 = 25;
-    let _bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
-    let mut here = Spinning::new(DOMAIN, "here");
-    let mut peer = Peer::start_with_services(&venv, DOMAIN, "there");
+    let Some((_bridge, mut here, mut peer)) = joined_nodes(25) else { return };
     let latched = Qos::default().transient_local();
 
     let publisher = here.node.create_publisher::<TransformStamped>("/tf_static", latched).unwrap();

@@ -10,7 +10,7 @@ use rand::{RngExt, SeedableRng};
 use serde_json::{Value, json};
 use std::time::Duration;
 use support::node::{Spinning, serve_echo};
-use support::{BridgeProcess, Peer, recovers, ros, wait_until};
+use support::{BridgeProcess, Peer, joined_nodes, recovers, ros, wait_until};
 use tautline::std_srvs::srv::SetBool;
 use tautline::test_msgs::srv::BasicTypes;
 use tautline::{CallbackOptions, Node, Qos, ServiceError};
@@ -80,12 +80,8 @@ fn call(peer: &mut Peer, client: u64, requests: &[Value]) -> Vec<Value> {
 
 #[test]
 fn requests_are_answered_both_ways() {
-    let Some(venv) = ros() else { return };
-    const DOMAIN: u32 = 15;
     const SEED: u64 = 7;
-    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
-    let mut here = Spinning::new(DOMAIN, "here");
-    let mut peer = Peer::start_with_services(&venv, DOMAIN, "there");
+    let Some((bridge, mut here, mut peer)) = joined_nodes(15) else { return };
     let mut rng = StdRng::seed_from_u64(SEED);
 
     // ROS asks.
@@ -189,11 +185,7 @@ fn a_server_that_dies_ends_what_it_was_asked() {
 
 #[test]
 fn a_silent_server_is_asked_no_more_than_there_is_room_for() {
-    let Some(venv) = ros() else { return };
-    const DOMAIN: u32 = 26;
-    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
-    let mut here = Spinning::new(DOMAIN, "here");
-    let mut peer = Peer::start_with_services(&venv, DOMAIN, "there");
+    let Some((bridge, mut here, mut peer)) = joined_nodes(26) else { return };
 
     // Here: what waits is counted once it is refused, and when the server goes.
     let silent = here.node.create_service::<SetBool::Service>("/silent", qos()).unwrap().owned();
@@ -229,11 +221,8 @@ fn a_silent_server_is_asked_no_more_than_there_is_room_for() {
 
 #[test]
 fn what_cannot_be_passed_on_ends_alone() {
-    let Some(venv) = ros() else { return };
     const DOMAIN: u32 = 28;
-    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
-    let mut here = Spinning::new(DOMAIN, "here");
-    let mut peer = Peer::start_with_services(&venv, DOMAIN, "there");
+    let Some((bridge, mut here, mut peer)) = joined_nodes(DOMAIN) else { return };
     peer.tell(json!({ "do": "service", "name": "/there", "type": SET_BOOL, "behaviour": "silent" }));
     let client = here.node.create_client::<SetBool::Service>("/there").unwrap();
     here.available(&client);

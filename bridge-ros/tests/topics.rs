@@ -9,24 +9,19 @@ use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use support::{
-    BridgeProcess, Peer, STRING, matched, publisher, ros, subscription, take_texts, text_body, wait_until,
+    BridgeProcess, Peer, STRING, joined, matched, publish_texts, publisher, ros, subscription, take_texts,
+    text_body, wait_until,
 };
 use tautline_transport::{Limits, Participant, Qos, TopicType};
 
 #[test]
 fn texts_go_both_ways_and_topics_come_and_go() {
-    let Some(venv) = ros() else { return };
-    const DOMAIN: u32 = 27;
-    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
-    let participant = Participant::new(DOMAIN).unwrap();
-    let mut peer = Peer::start(&venv, DOMAIN, "both_ways");
+    let Some((bridge, participant, mut peer)) = joined(27, "both_ways") else { return };
 
     let here = publisher(&participant, "/to_ros", STRING, Qos::default());
     let there = peer.subscription("/to_ros", STRING, json!({}));
     matched(&here, 1);
-    for text in ["one", "", "thrée"] {
-        here.publish(&text_body(text)).unwrap();
-    }
+    publish_texts(&here, &["one", "", "thrée"]);
     assert_eq!(peer.take_texts(there, 3), ["one", "", "thrée"]);
 
     let here = subscription(&participant, "/from_ros", STRING, Qos::default());
@@ -49,12 +44,8 @@ fn texts_go_both_ways_and_topics_come_and_go() {
 /// writer, which must not end with the publisher that it mirrors.
 #[test]
 fn what_a_publisher_sent_before_it_ended_arrives_in_ros() {
-    let Some(venv) = ros() else { return };
-    const DOMAIN: u32 = 43;
     const COUNT: usize = 900;
-    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
-    let participant = Participant::new(DOMAIN).unwrap();
-    let mut peer = Peer::start(&venv, DOMAIN, "late");
+    let Some((bridge, participant, mut peer)) = joined(43, "late") else { return };
     let there = peer.subscription("/last_words", STRING, json!({ "depth": COUNT }));
     let here = publisher(&participant, "/last_words", STRING, Qos::keep_last(COUNT));
     matched(&here, 1);
@@ -62,7 +53,7 @@ fn what_a_publisher_sent_before_it_ended_arrives_in_ros() {
     assert_eq!(peer.take_texts(there, 1), ["first"]);
     peer.signal(Signal::STOP);
     let texts: Vec<_> = (0..COUNT).map(|number| number.to_string()).collect();
-    texts.iter().for_each(|text| here.publish(&text_body(text)).unwrap());
+    publish_texts(&here, &texts);
     drop(here);
     wait_until("all are sent", || bridge.topic("/last_words", "to_ros")["messages"] == 1 + COUNT);
     peer.signal(Signal::CONT);
@@ -72,12 +63,8 @@ fn what_a_publisher_sent_before_it_ended_arrives_in_ros() {
 /// It gets more than 5000 messages: a keep-all writer of Fast DDS keeps these, and then waits at each further one.
 #[test]
 fn a_reader_in_ros_that_takes_nothing_holds_nothing_up() {
-    let Some(venv) = ros() else { return };
-    const DOMAIN: u32 = 48;
     const DEPTH: usize = 2000;
-    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
-    let participant = Participant::new(DOMAIN).unwrap();
-    let mut peer = Peer::start(&venv, DOMAIN, "stopped");
+    let Some((bridge, participant, mut peer)) = joined(48, "stopped") else { return };
     let there = peer.subscription("/untaken", STRING, json!({}));
     let here = publisher(&participant, "/untaken", STRING, Qos::keep_all(DEPTH));
     matched(&here, 1);
@@ -95,11 +82,7 @@ fn a_reader_in_ros_that_takes_nothing_holds_nothing_up() {
 
 #[test]
 fn nothing_is_lost_while_a_deeper_subscription_joins() {
-    let Some(venv) = ros() else { return };
-    const DOMAIN: u32 = 32;
-    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
-    let participant = Participant::new(DOMAIN).unwrap();
-    let mut peer = Peer::start(&venv, DOMAIN, "counting");
+    let Some((bridge, participant, mut peer)) = joined(32, "counting") else { return };
     let subscribe = |depth| {
         let string = TopicType::new(STRING.to_owned());
         participant

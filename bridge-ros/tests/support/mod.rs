@@ -8,11 +8,28 @@ pub mod peer;
 
 pub use peer::*;
 
+use node::Spinning;
 use serde_json::Value;
 use std::io::Read;
 use std::ops::{Deref, DerefMut};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
+use tautline_transport::Participant;
+
+/// A bridge of a domain and that of ROS with the same number, with a participant in one and a node of rclpy in the other; `None`
+/// without a ROS 2.
+pub fn joined(domain: u32, peer: &str) -> Option<(BridgeProcess, Participant, Peer)> {
+    let venv = ros()?;
+    let bridge = BridgeProcess::start(domain, domain, &[]);
+    Some((bridge, Participant::new(domain).unwrap(), Peer::start(&venv, domain, peer)))
+}
+
+/// The same with nodes that have services, `here` and `there`.
+pub fn joined_nodes(domain: u32) -> Option<(BridgeProcess, Spinning, Peer)> {
+    let venv = ros()?;
+    let (bridge, here) = (BridgeProcess::start(domain, domain, &[]), Spinning::new(domain, "here"));
+    Some((bridge, here, Peer::start_with_services(&venv, domain, "there")))
+}
 
 /// After this a restarted bridge or node is expected to be heard.
 const RECOVERY: Duration = Duration::from_secs(5);

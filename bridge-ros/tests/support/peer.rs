@@ -511,6 +511,10 @@ pub fn publisher(participant: &Participant, topic: &str, type_name: &str, qos: Q
     participant.create_raw_publisher(topic, &topic_type, qos, limits).unwrap()
 }
 
+pub fn publish_texts(publisher: &RawPublisher, texts: &[impl AsRef<str>]) {
+    texts.iter().for_each(|text| publisher.publish(&text_body(text.as_ref())).unwrap());
+}
+
 pub fn subscription(participant: &Participant, topic: &str, type_name: &str, qos: Qos) -> RawSubscription {
     let topic_type = TopicType::new(type_name.to_owned());
     participant.create_raw_subscription(topic, &topic_type, qos, Limits::default()).unwrap()
