@@ -77,7 +77,8 @@ pub struct Event {
 }
 
 impl Event {
-    pub(crate) fn to_words(self) -> [u64; WORDS] {
+    /// The words that [`from_words`](Self::from_words) reads: in a ring, or for a file.
+    pub fn words(self) -> [u64; WORDS] {
         let [a, b, c] = self.arguments;
         [self.time_ns, (self.kind as u64) << OBJECT_BITS | self.object.0 & ((1 << OBJECT_BITS) - 1), a, b, c]
     }
@@ -87,11 +88,6 @@ impl Event {
         let kind = EventKind::from_number(what >> OBJECT_BITS)?;
         let object = ObjectId(what & ((1 << OBJECT_BITS) - 1));
         Some(Event { time_ns, kind, object, arguments: [a, b, c] })
-    }
-
-    /// The words that [`from_words`](Self::from_words) reads, for a file.
-    pub fn words(self) -> [u64; WORDS] {
-        self.to_words()
     }
 }
 

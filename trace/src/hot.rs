@@ -36,7 +36,7 @@ fn record(kind: EventKind, object: ObjectId, arguments: [u64; 3]) {
     }
     match thread::place() {
         EventSink::Ring(ring) => {
-            ring.push(Event { time_ns: monotonic_ns(), kind, object, arguments }.to_words())
+            ring.push(Event { time_ns: monotonic_ns(), kind, object, arguments }.words())
         }
         EventSink::Counted(unrecorded) => {
             unrecorded.fetch_add(1, crate::sync::Ordering::Relaxed);
