@@ -59,21 +59,18 @@ pub(crate) fn prefix_in(folder: &str) -> String {
     format!("{folder}/{PREFIX}p")
 }
 
-fn path(domain: u32) -> PathBuf {
-    shared_path(domain).join(format!("{PREFIX}control"))
+fn control_file(folder: &str) -> PathBuf {
+    Path::new(shm::DIRECTORY).join(folder).join(format!("{PREFIX}control"))
 }
 
 /// What the recorder of a domain requests, if there is one.
 pub(crate) fn recorder_request(domain: u32) -> RecorderRequest {
-    request_at(path(domain))
+    request_in(&shared_folder(domain))
 }
 
 /// What the recorder of the domain whose folder has this name requests, if there is one.
 pub(crate) fn request_in(folder: &str) -> RecorderRequest {
-    request_at(Path::new(shm::DIRECTORY).join(folder).join(format!("{PREFIX}control")))
-}
-
-fn request_at(path: PathBuf) -> RecorderRequest {
+    let path = control_file(folder);
     let Ok(file) = PeerFile::open(path.clone(), false) else { return RecorderRequest::Nothing };
     if rustix::fs::flock(&file, FlockOperation::NonBlockingLockShared).is_ok() {
         // Its recorder was killed, or has not locked it yet and will check whether it still has a name. A process that has the exclusive
@@ -103,7 +100,7 @@ impl RecorderLock {
     pub(crate) fn claim(domain: u32) -> Result<RecorderLock, TraceError> {
         // Processes hold the lock for a moment when they check for a recorder.
         const PATIENCE: Duration = Duration::from_millis(500);
-        let (path, mut patience) = (path(domain), Patience::new(PATIENCE));
+        let (path, mut patience) = (control_file(&shared_folder(domain)), Patience::new(PATIENCE));
         let refuse = |errno: Errno| TraceError::File { path: path.clone(), source: io::Error::from(errno) };
         loop {
             let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;

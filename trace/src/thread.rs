@@ -101,9 +101,13 @@ fn find_place() -> EventSink {
     let Some(ring) = (0..RINGS).map(|index| map.ring(index)).find(|ring| ring.claim(tid)) else {
         return EventSink::Counted(map.unrecorded());
     };
-    let mut name = [0u8; 16];
-    let named = if tid == std::process::id() { copy(&mut name, b"main") } else { comm(&mut name) };
-    set_name(ring, name.get(..named).unwrap_or_default());
+    if tid == std::process::id() {
+        set_name(ring, b"main");
+    } else {
+        let mut name = [0; 16];
+        let len = comm(&mut name);
+        set_name(ring, name.get(..len).unwrap_or_default());
+    }
     EventSink::Ring(ring)
 }
 
@@ -111,10 +115,6 @@ fn set_name(ring: Ring<'_>, name: &[u8]) {
     for (to, from) in ring.head.name.iter().zip(name_to_words(name)) {
         to.store(from, Ordering::Relaxed);
     }
-}
-
-fn copy(to: &mut [u8], from: &[u8]) -> usize {
-    to.iter_mut().zip(from).map(|(to, from)| *to = *from).count()
 }
 
 /// Reads the kernel's name of the current thread, without allocating. Returns its length.
