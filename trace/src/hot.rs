@@ -27,10 +27,18 @@ pub fn is_on() -> bool {
     cfg!(feature = "lttng") || ON.load(Ordering::Relaxed)
 }
 
+/// Records, if rings record.
+#[inline(always)]
+fn record(kind: EventKind, object: ObjectId, arguments: impl FnOnce() -> [u64; 3]) {
+    if ON.load(Ordering::Relaxed) {
+        push(kind, object, arguments());
+    }
+}
+
 /// Records in the current thread's ring.
 #[cold]
 #[inline(never)]
-fn record(kind: EventKind, object: ObjectId, arguments: [u64; 3]) {
+fn push(kind: EventKind, object: ObjectId, arguments: [u64; 3]) {
     if object == ObjectId::NONE {
         return;
     }
@@ -71,9 +79,7 @@ impl MessageId {
 /// [registered](crate::register_thread).
 #[inline(always)]
 pub fn publish(publisher: ObjectId, message: &MessageId) {
-    if ON.load(Ordering::Relaxed) {
-        record(EventKind::Publish, publisher, message.arguments());
-    }
+    record(EventKind::Publish, publisher, || message.arguments());
     #[cfg(feature = "lttng")]
     lttng::publish(publisher, message);
 }
@@ -84,9 +90,7 @@ pub fn publish(publisher: ObjectId, message: &MessageId) {
 /// As [`publish`].
 #[inline(always)]
 pub fn take(subscription: ObjectId, message: &MessageId) {
-    if ON.load(Ordering::Relaxed) {
-        record(EventKind::Take, subscription, message.arguments());
-    }
+    record(EventKind::Take, subscription, || message.arguments());
     #[cfg(feature = "lttng")]
     lttng::take(subscription, message);
 }
@@ -97,9 +101,7 @@ pub fn take(subscription: ObjectId, message: &MessageId) {
 /// As [`publish`].
 #[inline(always)]
 pub fn receive(publisher: ObjectId, message: &MessageId) {
-    if ON.load(Ordering::Relaxed) {
-        record(EventKind::Receive, publisher, message.arguments());
-    }
+    record(EventKind::Receive, publisher, || message.arguments());
 }
 
 /// A mirror is about to forward message `from_number` of the publisher `from` through a sender or publisher, as
@@ -109,9 +111,7 @@ pub fn receive(publisher: ObjectId, message: &MessageId) {
 /// As [`publish`].
 #[inline(always)]
 pub fn pass(through: ObjectId, sequence_number: u64, from: [u64; 2], from_number: u64) {
-    if ON.load(Ordering::Relaxed) {
-        record(EventKind::Pass, through, [sequence_number, from_number, gid_key(from)]);
-    }
+    record(EventKind::Pass, through, || [sequence_number, from_number, gid_key(from)]);
 }
 
 /// `callback` starts with a message or tick that was released at `release_ns` on `CLOCK_MONOTONIC`.
@@ -120,9 +120,7 @@ pub fn pass(through: ObjectId, sequence_number: u64, from: [u64; 2], from_number
 /// As [`publish`].
 #[inline(always)]
 pub fn callback_start(callback: ObjectId, release_ns: u64) {
-    if ON.load(Ordering::Relaxed) {
-        record(EventKind::CallbackStart, callback, [release_ns, 0, 0]);
-    }
+    record(EventKind::CallbackStart, callback, || [release_ns, 0, 0]);
     #[cfg(feature = "lttng")]
     lttng::callback_start(callback);
 }
@@ -133,9 +131,7 @@ pub fn callback_start(callback: ObjectId, release_ns: u64) {
 /// As [`publish`].
 #[inline(always)]
 pub fn callback_end(callback: ObjectId, used_ns: Option<u64>) {
-    if ON.load(Ordering::Relaxed) {
-        record(EventKind::CallbackEnd, callback, [used_ns.unwrap_or(0), 0, 0]);
-    }
+    record(EventKind::CallbackEnd, callback, || [used_ns.unwrap_or(0), 0, 0]);
     #[cfg(feature = "lttng")]
     lttng::callback_end(callback);
 }
@@ -148,9 +144,7 @@ pub fn callback_end(callback: ObjectId, used_ns: Option<u64>) {
 pub fn spin_start(sampler: &SamplerObject, until_ns: Option<u64>) {
     if is_on() {
         let timeout_ns = until_ns.map_or(u64::MAX, |until| until.saturating_sub(monotonic_ns()));
-        if ON.load(Ordering::Relaxed) {
-            record(EventKind::SpinStart, sampler.id(), [timeout_ns, 0, 0]);
-        }
+        record(EventKind::SpinStart, sampler.id(), || [timeout_ns, 0, 0]);
         #[cfg(feature = "lttng")]
         lttng::spin_start(sampler.node(), timeout_ns);
     }
@@ -162,9 +156,7 @@ pub fn spin_start(sampler: &SamplerObject, until_ns: Option<u64>) {
 /// As [`publish`].
 #[inline(always)]
 pub fn spin_wake(sampler: &SamplerObject) {
-    if ON.load(Ordering::Relaxed) {
-        record(EventKind::SpinWake, sampler.id(), [0; 3]);
-    }
+    record(EventKind::SpinWake, sampler.id(), || [0; 3]);
     #[cfg(feature = "lttng")]
     lttng::spin_wake(sampler.node());
 }
@@ -175,9 +167,7 @@ pub fn spin_wake(sampler: &SamplerObject) {
 /// As [`publish`].
 #[inline(always)]
 pub fn spin_timeout(sampler: &SamplerObject) {
-    if ON.load(Ordering::Relaxed) {
-        record(EventKind::SpinTimeout, sampler.id(), [0; 3]);
-    }
+    record(EventKind::SpinTimeout, sampler.id(), || [0; 3]);
     #[cfg(feature = "lttng")]
     lttng::spin_timeout(sampler.node());
 }
@@ -188,9 +178,7 @@ pub fn spin_timeout(sampler: &SamplerObject) {
 /// As [`publish`].
 #[inline(always)]
 pub fn spin_end(sampler: &SamplerObject) {
-    if ON.load(Ordering::Relaxed) {
-        record(EventKind::SpinEnd, sampler.id(), [0; 3]);
-    }
+    record(EventKind::SpinEnd, sampler.id(), || [0; 3]);
     #[cfg(feature = "lttng")]
     lttng::spin_end(sampler.node());
 }
