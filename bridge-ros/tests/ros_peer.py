@@ -119,11 +119,9 @@ class Peer:
         self.going.clear()
         self.spinning.create_task(wait)
         held.wait()
-        return True
 
     def go_on(self):
         self.going.set()
-        return True
 
     def destroy(self, end):
         one = self.ends[end]
@@ -146,7 +144,6 @@ class Peer:
             # Not everything that changes says so.
             while not is_so():
                 self.changed.wait(0.005)
-        return True
 
     def random(self, type, count, seed, data_bytes=0):
         """Random messages, not published: their bytes and values."""

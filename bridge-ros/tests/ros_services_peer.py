@@ -79,7 +79,6 @@ class Peer(ros_peer.Peer):
         """Sends a request whose response is looked for with `answered`."""
         client = self.ends[end]
         self.asked = client.call_async(fill(client.srv_type.Request(), request))
-        return True
 
     def flood(self, end, request, count):
         """Sends so many requests, as fast as they are taken from this process, and waits for none."""
@@ -90,7 +89,6 @@ class Peer(ros_peer.Peer):
             self.flooded.append(client.call_async(fill(client.srv_type.Request(), request)))
             if index % 5 == 4:
                 time.sleep(0.001)
-        return True
 
     def answered(self):
         return self.asked.done()
@@ -99,7 +97,6 @@ class Peer(ros_peer.Peer):
         """Sends requests, whether there is a service or not; `all_answered` waits for the responses."""
         client = self.ends[end]
         self.asked = [client.call_async(fill(client.srv_type.Request(), request)) for request in requests]
-        return True
 
     def all_answered(self):
         return [ros_values.plain_message(self.done(future)) for future in self.asked]
@@ -157,7 +154,6 @@ class Peer(ros_peer.Peer):
         for name, value in values.items():
             self.node.declare_parameter(name, value)
         self.parameter_service = ParameterService(self.node)
-        return True
 
     def parameters(self, node):
         """A client of a node's parameters, once its services are there."""
@@ -185,25 +181,21 @@ class Peer(ros_peer.Peer):
         message = ros_values.find("rosgraph_msgs/msg/Clock")()
         message.clock.sec, message.clock.nanosec = sec, nanosec
         self.ends[end].publish(message)
-        return True
 
     def publish_transform(self, end, child, x):
         message = ros_values.find("geometry_msgs/msg/TransformStamped")()
         message.child_frame_id, message.transform.translation.x = child, x
         self.ends[end].publish(message)
-        return True
 
     def lifecycle_node(self, name):
         self.living = LifecycleNode(name)
         self.spinning.add_node(self.living)
-        return True
 
     def logging_node(self, name, line):
         """A node whose levels can be set, and which has logged a line."""
         self.logging = rclpy.create_node(name, enable_logger_service=True)
         self.spinning.add_node(self.logging)
         self.logging.get_logger().warning(line)
-        return True
 
     def logs_debug(self):
         return self.logging.get_logger().is_enabled_for(LoggingSeverity.DEBUG)
@@ -221,7 +213,6 @@ class Peer(ros_peer.Peer):
     def simulated_node(self, name):
         self.simulated = rclpy.create_node(name, parameter_overrides=[Parameter("use_sim_time", value=True)])
         self.spinning.add_node(self.simulated)
-        return True
 
     def simulated_time(self, at_least):
         """The simulated node's time, once it is that late."""
@@ -236,17 +227,14 @@ class Peer(ros_peer.Peer):
         for node in self.many:
             node.create_subscription(String, "/all", lambda message: self.heard.append(message.data), 10)
             self.spinning.add_node(node)
-        return True
 
     def passing_node(self, name):
         """A node as rclpy makes it by default, until `pass_by`."""
         self.passing = rclpy.create_node(name)
-        return True
 
     def pass_by(self):
         self.passing.destroy_node()
         self.passing = None
-        return True
 
     def all_heard(self, text):
         """Waits until each of these nodes has heard it."""
