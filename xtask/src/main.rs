@@ -1,44 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What CI runs and what people run, as `cargo xtask <verb>`.
-//!
-//! | module | holds |
-//! |---|---|
-//! | `api` | the public surface of the crate `tautline`, and that all it names can be named |
-//! | `build` | which build of a program is run, and of which packages |
-//! | `steps` | commands that are printed, timed and counted, some in the background; the closing table |
-//! | `test` | the verb `test`: every step of it, in order |
-//! | `ci` | the verb `ci`: the rest of what CI runs |
-//! | `shared` | checks that both build what they share once |
-//! | `first` | what a user waits for first: how many units, and the critical path |
-//! | `dependencies` | licences, sources, duplicates and vulnerabilities of what Tautline takes from others |
-//! | `tools` | programs of others that check something |
-//! | `bench` | the benches: what each needs is built, what it is told is passed on |
-//! | `book` | the documentation as a book; its links are lychee's to check |
-//! | `bridge` | lints and tests of the bridge to ROS 2 |
-//! | `colcon` | rmw_tautline as a package of a ROS 2 workspace |
-//! | `dist` | what is installed without a checkout: crates, packages, wheels |
-//! | `examples` | runs each example and compares what it prints with `examples/expected` |
-//! | `files` | files and folders, with errors that name them |
-//! | `guests` | tests, examples and the demo on emulated machines |
-//! | `headers` | rmw_tautline built with the headers of distributions that PyPI does not have |
-//! | `fuzz` | inputs made up by libFuzzer |
-//! | `lab` | the laboratory, `benches/`: built and tested |
-//! | `lints` | clippy's findings, with the tests' build |
-//! | `lttng` | LTTng's packages, and the test that needs them |
-//! | `reports` | what is wrong with the JSON of the demo and of the benches, in jq's language |
-//! | `compare` | the programs of other middleware that Tautline is measured beside |
-//! | `release` | what a release needs, its packages and its tag |
-//! | `readme` | the tables and pictures of the README and the documents, made from a run |
-//! | `peers` | tests the gateway against implementations of its wire that are not ours |
-//! | `programs` | runs the programs of a test of the node on r2r |
-//! | `r2r` | what it takes to build a program of r2r's |
-//! | `r2r_tests` | r2r's own tests and examples, on Tautline |
-//! | `rmw` | builds rmw_tautline, tests it, and measures it |
-//! | `ros` | makes a real ROS 2 for the tests to compare with |
-//! | `running` | programs that run beside this one, and what they have said |
-//! | `packages` | Debian's packages that some tests need |
-//! | `pages` | the commands of the pages that a newcomer reads, run where the packages alone are installed |
-//! | `machine` | where things are built, and what this user may do |
 
 mod api;
 mod bench;
