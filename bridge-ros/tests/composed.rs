@@ -8,7 +8,7 @@ use futures::future::{join, join_all};
 use serde_json::{Value, json};
 use std::cell::RefCell;
 use std::collections::BTreeSet;
-use support::gateway::link;
+use support::gateway::{GatewayProcess, link};
 use support::node::{Spinning, fibonacci, serve_echo};
 use support::{BridgeProcess, Peer, Program, STRING, publish_texts, ros, text_of, wait_until};
 use tautline::rcl_interfaces::msg::{Parameter, ParameterValue};
@@ -333,6 +333,17 @@ fn what_is_no_table_of_a_bridge_harms_nobody() {
     assert!(bridge.said().contains("is not understood"), "{}", bridge.said());
 }
 
+/// The gateways and the bridge between two nodes.
+type Between = ([GatewayProcess; 2], BridgeProcess);
+
+/// A node of Tautline's, and on another host a ROS graph with a node of rclpy that has services.
+fn far_nodes(there: u32, here: u32) -> Option<(Between, Spinning, Peer)> {
+    let (venv, gateways) = (ros()?, link(there, here)?);
+    let bridge = BridgeProcess::start(there, there, &[]);
+    let here = Spinning::new(here, "here");
+    Some(((gateways, bridge), here, Peer::start_with_services(&venv, there, "there")))
+}
+
 fn request(number: i64) -> BasicTypes::Request {
     let string_value = format!("request {number}");
     BasicTypes::Request { int64_value: number, string_value, ..Default::default() }
@@ -340,13 +351,7 @@ fn request(number: i64) -> BasicTypes::Request {
 
 #[test]
 fn services_cross_bridges_and_gateways() {
-    let Some(venv) = ros() else { return };
-    const A: u32 = 45;
-    const B: u32 = 57;
-    let Some(_gateways) = link(A, B) else { return };
-    let bridge = BridgeProcess::start(A, A, &[]);
-    let mut here = Spinning::new(B, "here");
-    let mut peer = Peer::start_with_services(&venv, A, "there");
+    let Some(((_gateways, bridge), mut here, mut peer)) = far_nodes(45, 57) else { return };
 
     // The other host asks ROS.
     peer.tell(json!({ "do": "service", "name": "/there/echo", "type": BASIC_TYPES, "behaviour": "echo" }));
@@ -387,13 +392,7 @@ fn services_cross_bridges_and_gateways() {
 
 #[test]
 fn goals_from_another_host_are_pursued_in_ros() {
-    let Some(venv) = ros() else { return };
-    const A: u32 = 60;
-    const B: u32 = 68;
-    let Some(_gateways) = link(A, B) else { return };
-    let _bridge = BridgeProcess::start(A, A, &[]);
-    let mut here = Spinning::new(B, "here");
-    let mut peer = Peer::start_with_services(&venv, A, "there");
+    let Some((_between, mut here, mut peer)) = far_nodes(60, 68) else { return };
     peer.tell(json!({ "do": "action_server", "name": "/fibonacci" }));
     let client = here.node.create_action_client::<Fibonacci::Action>("/fibonacci").unwrap();
     here.wait("a server", client.wait_for_action_server().unwrap()).unwrap();
@@ -418,13 +417,7 @@ fn goals_from_another_host_are_pursued_in_ros() {
 
 #[test]
 fn parameters_of_a_node_in_ros_are_got_and_set_from_another_host() {
-    let Some(venv) = ros() else { return };
-    const A: u32 = 69;
-    const B: u32 = 70;
-    let Some(_gateways) = link(A, B) else { return };
-    let _bridge = BridgeProcess::start(A, A, &[]);
-    let mut here = Spinning::new(B, "here");
-    let mut peer = Peer::start_with_services(&venv, A, "there");
+    let Some((_between, mut here, mut peer)) = far_nodes(69, 70) else { return };
     peer.tell(json!({ "do": "serve_parameters", "values": { "gain": 1.5 } }));
     let get = here.node.create_client::<GetParameters::Service>("/there/get_parameters").unwrap();
     let set = here.node.create_client::<SetParameters::Service>("/there/set_parameters").unwrap();

@@ -119,9 +119,7 @@ fn a_topic_with_two_types_in_ros() {
 fn ros_domain_id_is_honoured() {
     let Some(venv) = ros() else { return };
     const DOMAIN: u32 = 8;
-    let bridge = BridgeProcess::start_with(DOMAIN, DOMAIN + 1, &[], |command| {
-        command.arg("--no-rt");
-    });
+    let bridge = BridgeProcess::start(DOMAIN, DOMAIN + 1, &[]);
     assert_eq!(bridge.stats()["ros_domain"], DOMAIN + 1);
     drop(bridge);
     // Without the option; Tautline's domain is said by another variable.

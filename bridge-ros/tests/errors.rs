@@ -75,9 +75,7 @@ fn types_that_ros_does_not_have_are_named_and_the_rest_goes_on() {
 
 #[test]
 fn what_cannot_run_says_what_to_do() {
-    if ros().is_none() {
-        return;
-    }
+    let Some(_) = ros() else { return };
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("bridge.toml");
     fs::write(&file, "colour = 1\n[[topic]]\ntopic = 'x'\n").unwrap();
@@ -156,19 +154,15 @@ fn missing_libraries_are_told_by_taut_with_the_fix() {
 
 #[test]
 fn a_second_signal_does_not_wait_for_the_end() {
-    if ros().is_none() {
-        return;
-    }
+    let Some(_) = ros() else { return };
     // Whoever should read its numbers does not, and nothing more fits: it cannot end in order.
     let (output, mut input) = std::io::pipe().unwrap();
     rustix::fs::fcntl_setfl(&input, OFlags::NONBLOCK).unwrap();
     while input.write(&[b'\n'; 512]).is_ok() {}
     while input.write(b"\n").is_ok() {}
     rustix::fs::fcntl_setfl(&input, OFlags::empty()).unwrap();
-    let mut command = Command::new(BRIDGE);
-    command.args(["--domain", "38", "--ros-domain", "38", "--no-rt", "--json", "--interval", "0.1"]);
-    reserve(38);
-    let mut bridge = command.env("TAUT_SCOPE", scope()).stdout(input).spawn().unwrap();
+    let mut command = BridgeProcess::command(38, 38, &["--no-rt"], |_| {});
+    let mut bridge = command.stdout(input).spawn().unwrap();
     // The builder has the other end of the pipe.
     drop(command);
     let pid = Pid::from_child(&bridge);
@@ -205,16 +199,11 @@ fn a_second_signal_does_not_wait_for_the_end() {
 
 #[test]
 fn it_bridges_on_when_nobody_reads_what_it_says() {
-    if ros().is_none() {
-        return;
-    }
+    let Some(_) = ros() else { return };
     let (reader, closed) = std::io::pipe().unwrap();
     drop(reader);
-    let mut command = Command::new(BRIDGE);
-    command.args(["--domain", "46", "--ros-domain", "46", "--no-rt", "--json", "--interval", "0.1"]);
-    reserve(46);
-    command.env("TAUT_SCOPE", scope()).env_remove("RUST_LOG").stdout(Stdio::piped()).stderr(closed);
-    let mut bridge = command.spawn().unwrap();
+    let mut command = BridgeProcess::command(46, 46, &["--no-rt"], |_| {});
+    let mut bridge = command.stdout(Stdio::piped()).stderr(closed).spawn().unwrap();
     let lines = BufReader::new(bridge.stdout.take().unwrap()).lines();
     let mut numbers = lines.map(|line| serde_json::from_str::<Value>(&line.unwrap()).unwrap());
     let participant = Participant::new(46).unwrap();
@@ -230,16 +219,11 @@ fn it_bridges_on_when_nobody_reads_what_it_says() {
 
 #[test]
 fn it_bridges_on_when_its_numbers_cannot_be_written() {
-    if ros().is_none() {
-        return;
-    }
+    let Some(_) = ros() else { return };
     const FULL: &str = "No space left on device";
     let full = fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
-    let mut command = Command::new(BRIDGE);
-    command.args(["--domain", "47", "--ros-domain", "47", "--no-rt", "--json", "--interval", "0.1"]);
-    reserve(47);
-    command.env("TAUT_SCOPE", scope()).env_remove("RUST_LOG").stdout(full).stderr(Stdio::piped());
-    let mut bridge = command.spawn().unwrap();
+    let mut command = BridgeProcess::command(47, 47, &["--no-rt"], |_| {});
+    let mut bridge = command.stdout(full).stderr(Stdio::piped()).spawn().unwrap();
     let mut times_said = 0;
     let lines = BufReader::new(bridge.stderr.take().unwrap()).lines().map_while(Result::ok);
     let mut lines = lines.inspect(|line| times_said += usize::from(line.contains(FULL)));
@@ -255,7 +239,7 @@ fn it_bridges_on_when_its_numbers_cannot_be_written() {
 
 #[test]
 fn help_has_examples() {
-    let said = Command::new(env!("CARGO_BIN_EXE_taut-bridge-ros")).arg("--help").output().unwrap();
+    let said = Command::new(BRIDGE).arg("--help").output().unwrap();
     let help = String::from_utf8(said.stdout).unwrap();
     assert!(said.status.success() && help.contains("Examples:"), "{help}");
 }

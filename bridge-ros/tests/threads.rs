@@ -31,12 +31,8 @@ fn is_rmws(name: &str) -> bool {
 
 #[test]
 fn the_rmws_threads_are_below_those_that_carry_and_above_the_others() {
-    if ros().is_none() {
-        return;
-    }
-    if test_needs(realtime_permitted(42)).is_none() {
-        return;
-    }
+    let Some(_) = ros() else { return };
+    let Some(_) = test_needs(realtime_permitted(42)) else { return };
     let bridge = BridgeProcess::start_with(6, 6, &["--priority", "42"], |_| {});
     let of = |name: &'static str| {
         let found = threads(bridge.pid()).into_iter().filter(move |(thread, _)| thread.starts_with(name));
@@ -58,9 +54,7 @@ fn the_rmws_threads_are_below_those_that_carry_and_above_the_others() {
 #[test]
 fn a_flood_from_ros_runs_without_priority() {
     let Some(venv) = ros() else { return };
-    if test_needs(realtime_permitted(43)).is_none() {
-        return;
-    }
+    let Some(_) = test_needs(realtime_permitted(43)) else { return };
     let bridge = BridgeProcess::start_with(19, 19, &["--priority", "42", "--budget", "2"], |_| {});
     let participant = Participant::new(19).unwrap();
     let subscription = subscription(&participant, "/flood", STRING, Qos::keep_last(10));
@@ -95,9 +89,7 @@ fn a_flood_from_ros_runs_without_priority() {
 
 #[test]
 fn a_bridge_in_another_program() {
-    if ros().is_none() {
-        return;
-    }
+    let Some(_) = ros() else { return };
     let options = Options { domain: 39, ros_domain: Some(40), realtime: Realtime::Off, ..Options::default() };
     reserve(options.domain);
     let bridge = Bridge::spawn(options.clone()).unwrap();

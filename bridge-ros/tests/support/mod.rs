@@ -90,7 +90,7 @@ impl BridgeProcess {
         BridgeProcess(Program::spawn("bridge on standby", command))
     }
 
-    fn command(
+    pub fn command(
         domain: u32,
         ros_domain: u32,
         arguments: &[&str],
