@@ -10,17 +10,18 @@ use std::sync::Arc;
 use support::{BridgeProcess, Peer, STRING, Values, built, ros, scope, wait_until};
 use tautline_schema::{DynamicMessage, Packages};
 
-const DOMAIN: u32 = 34;
-const DOMAIN_OF_TYPES: u32 = 40;
-const DOMAIN_OF_TOPICS: u32 = 41;
-const DOMAIN_OF_BAGS: u32 = 42;
-
 struct Tools {
     taut: PathBuf,
     domain: u32,
 }
 
 impl Tools {
+    /// Those of a domain with a bridge to that of ROS with the same number, and the environment of rclpy; `None` without ROS 2 or `taut`.
+    fn start(domain: u32) -> Option<(Self, BridgeProcess, PathBuf)> {
+        let (venv, taut) = (ros()?, built("taut", "taut")?);
+        Some((Tools { taut, domain }, BridgeProcess::start(domain, domain, &[]), venv))
+    }
+
     fn command(&self, args: &[&str]) -> Command {
         let mut taut = Command::new(&self.taut);
         taut.args(args)
@@ -65,11 +66,8 @@ impl Tools {
 
 #[test]
 fn nodes_of_ros_are_asked_and_told() {
-    let Some(venv) = ros() else { return };
-    let Some(taut) = built("taut", "taut") else { return };
-    let tools = Tools { taut, domain: DOMAIN };
-    let _bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
-    let mut peer = Peer::start_with_services(&venv, DOMAIN, "there");
+    let Some((tools, _bridge, venv)) = Tools::start(34) else { return };
+    let mut peer = Peer::start_with_services(&venv, tools.domain, "there");
 
     let values = json!({ "gain": 1.5, "arm.speed": 3, "frames": ["map", "odom"] });
     peer.tell(json!({ "do": "serve_parameters", "values": values }));
@@ -145,11 +143,8 @@ fn nodes_of_ros_are_asked_and_told() {
 
 #[test]
 fn topics_of_ros_are_shown_and_measured() {
-    let Some(venv) = ros() else { return };
-    let Some(taut) = built("taut", "taut") else { return };
-    let tools = Tools { taut, domain: DOMAIN_OF_TOPICS };
-    let _bridge = BridgeProcess::start(DOMAIN_OF_TOPICS, DOMAIN_OF_TOPICS, &[]);
-    let mut peer = Peer::start_with_services(&venv, DOMAIN_OF_TOPICS, "there");
+    let Some((tools, _bridge, venv)) = Tools::start(41) else { return };
+    let mut peer = Peer::start_with_services(&venv, tools.domain, "there");
     let publisher = peer.publisher("/heard", STRING, json!({}));
     let told = peer.subscription("/told", STRING, json!({}));
     peer.tell(json!({ "do": "service", "name": "/set_bool", "type": "std_srvs/srv/SetBool", "behaviour": "set_bool" }));
@@ -221,57 +216,35 @@ fn topics_of_ros_are_shown_and_measured() {
 }
 
 /// Of nine packages: everything that ROS 2's types are made of.
-const TYPES: [&str; 35] = [
-    "builtin_interfaces/msg/Time",
-    "diagnostic_msgs/msg/DiagnosticArray",
-    "geometry_msgs/msg/PoseStamped",
-    "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "geometry_msgs/msg/Polygon",
-    "geometry_msgs/msg/TransformStamped",
-    "geometry_msgs/msg/Twist",
-    "nav_msgs/msg/OccupancyGrid",
-    "nav_msgs/msg/Odometry",
-    "nav_msgs/msg/Path",
-    "rcl_interfaces/msg/Log",
-    "rcl_interfaces/msg/ParameterEvent",
-    "sensor_msgs/msg/BatteryState",
-    "sensor_msgs/msg/CameraInfo",
-    "sensor_msgs/msg/Image",
-    "sensor_msgs/msg/Imu",
-    "sensor_msgs/msg/JointState",
-    "sensor_msgs/msg/LaserScan",
-    "sensor_msgs/msg/NavSatFix",
-    "sensor_msgs/msg/PointCloud2",
-    "std_msgs/msg/Bool",
-    "std_msgs/msg/ColorRGBA",
-    "std_msgs/msg/Float64MultiArray",
-    "std_msgs/msg/Header",
-    "std_msgs/msg/String",
-    "test_msgs/msg/Arrays",
-    "test_msgs/msg/BasicTypes",
-    "test_msgs/msg/BoundedSequences",
-    "test_msgs/msg/Empty",
-    "test_msgs/msg/MultiNested",
-    "test_msgs/msg/Strings",
-    "test_msgs/msg/UnboundedSequences",
-    "test_msgs/msg/WStrings",
-    "trajectory_msgs/msg/JointTrajectory",
-    "visualization_msgs/msg/Marker",
-];
+const TYPES: &str = "\
+    builtin_interfaces/msg/Time diagnostic_msgs/msg/DiagnosticArray geometry_msgs/msg/PoseStamped \
+    geometry_msgs/msg/PoseWithCovarianceStamped geometry_msgs/msg/Polygon \
+    geometry_msgs/msg/TransformStamped geometry_msgs/msg/Twist nav_msgs/msg/OccupancyGrid \
+    nav_msgs/msg/Odometry nav_msgs/msg/Path rcl_interfaces/msg/Log rcl_interfaces/msg/ParameterEvent \
+    sensor_msgs/msg/BatteryState sensor_msgs/msg/CameraInfo sensor_msgs/msg/Image sensor_msgs/msg/Imu \
+    sensor_msgs/msg/JointState sensor_msgs/msg/LaserScan sensor_msgs/msg/NavSatFix \
+    sensor_msgs/msg/PointCloud2 std_msgs/msg/Bool std_msgs/msg/ColorRGBA std_msgs/msg/Float64MultiArray \
+    std_msgs/msg/Header std_msgs/msg/String test_msgs/msg/Arrays test_msgs/msg/BasicTypes \
+    test_msgs/msg/BoundedSequences test_msgs/msg/Empty test_msgs/msg/MultiNested test_msgs/msg/Strings \
+    test_msgs/msg/UnboundedSequences test_msgs/msg/WStrings trajectory_msgs/msg/JointTrajectory \
+    visualization_msgs/msg/Marker";
+
+/// The topic of a type.
+fn topic(name: &str) -> String {
+    format!("/{}", name.replace("/msg/", "_").to_lowercase())
+}
+
 /// How many are echoed at once: each is a process, and a topic that the bridge joins.
 const AT_ONCE: usize = 7;
 
 #[test]
 fn messages_of_many_types_are_echoed_as_rclpy_has_them() {
-    let Some(venv) = ros() else { return };
-    let Some(taut) = built("taut", "taut") else { return };
-    let tools = Tools { taut, domain: DOMAIN_OF_TYPES };
+    let Some((tools, _bridge, venv)) = Tools::start(40) else { return };
     let mut packages = Packages::new();
     packages.add_folder(&venv);
-    let _bridge = BridgeProcess::start(DOMAIN_OF_TYPES, DOMAIN_OF_TYPES, &[]);
-    let mut peer = Peer::start(&venv, DOMAIN_OF_TYPES, "many");
-    let topic = |name: &str| format!("/{}", name.replace("/msg/", "_").to_lowercase());
-    for names in TYPES.chunks(AT_ONCE) {
+    let mut peer = Peer::start(&venv, tools.domain, "many");
+    let types: Vec<_> = TYPES.split(' ').collect();
+    for names in types.chunks(AT_ONCE) {
         let mut said = Vec::new();
         for name in names {
             let publisher = peer.publisher(&topic(name), name, json!({ "latched": true }));
@@ -295,29 +268,27 @@ fn messages_of_many_types_are_echoed_as_rclpy_has_them() {
 #[test]
 fn what_rclpy_sent_is_recorded_and_played_to_rclpy() {
     const COUNT: usize = 3;
-    let Some(venv) = ros() else { return };
-    let Some(taut) = built("taut", "taut") else { return };
-    let (tools, folder) = (Tools { taut, domain: DOMAIN_OF_BAGS }, tempfile::tempdir().unwrap());
+    let Some((tools, _bridge, venv)) = Tools::start(42) else { return };
+    let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag").to_str().unwrap().to_owned();
     let mut packages = Packages::new();
     packages.add_folder(&venv);
-    let _bridge = BridgeProcess::start(DOMAIN_OF_BAGS, DOMAIN_OF_BAGS, &[]);
-    let mut peer = Peer::start(&venv, DOMAIN_OF_BAGS, "flight");
-    let topic = |name: &str| format!("/{}", name.replace("/msg/", "_").to_lowercase());
+    let mut peer = Peer::start(&venv, tools.domain, "flight");
     let (mut publishers, mut said) = (Vec::new(), Vec::new());
-    for name in TYPES {
+    let types: Vec<_> = TYPES.split(' ').collect();
+    for name in &types {
         let publisher = peer.publisher(&topic(name), name, json!({ "latched": true, "depth": COUNT }));
         said.push(peer.tell(Values::new(name).prepare(name, COUNT)));
         peer.tell(json!({ "do": "publish_prepared", "end": publisher, "count": COUNT }));
         publishers.push(publisher);
     }
-    let topics: Vec<_> = TYPES.iter().map(|name| topic(name)).collect();
+    let topics: Vec<_> = types.iter().map(|name| topic(name)).collect();
     let mut record = tools.command(&["record", "--fetch", "-o", &bag, "--depth", "10"]);
     let recorder = record.args(&topics).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     wait_until("everything to be in the bag", || {
         let output = tools.run(&["bag", "check", &bag, "--json"]);
         let checked: Value = serde_json::from_slice(&output.stdout).unwrap_or_default();
-        checked["messages"] == TYPES.len() * COUNT
+        checked["messages"] == types.len() * COUNT
     });
     let pid = recorder.id().to_string();
     assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
@@ -326,7 +297,7 @@ fn what_rclpy_sent_is_recorded_and_played_to_rclpy() {
 
     publishers.iter().for_each(|publisher| drop(peer.tell(json!({ "do": "destroy", "end": publisher }))));
     let subscribe = |name: &&str| peer.subscription(&topic(name), name, json!({ "depth": COUNT }));
-    let subscriptions: Vec<_> = TYPES.iter().map(subscribe).collect();
+    let subscriptions: Vec<_> = types.iter().map(subscribe).collect();
     let mut played = None;
     // Topics are refused as long as the bridge tells of the publishers.
     wait_until("the publishers to be gone", || {
@@ -338,8 +309,8 @@ fn what_rclpy_sent_is_recorded_and_played_to_rclpy() {
     let played = played.unwrap();
     assert!(played.status.success(), "{}", String::from_utf8_lossy(&played.stderr));
     let report: Value = serde_json::from_slice(&played.stdout).unwrap();
-    assert_eq!(report["published"], TYPES.len() * COUNT, "{report}");
-    for ((name, said), subscription) in TYPES.iter().zip(said).zip(subscriptions) {
+    assert_eq!(report["published"], types.len() * COUNT, "{report}");
+    for ((name, said), subscription) in types.iter().zip(said).zip(subscriptions) {
         let schema = Arc::new(packages.schema(&name.parse().unwrap()).unwrap());
         let text = |value: &Value| DynamicMessage::from_json(&schema, &value.to_string()).unwrap().to_json();
         let received: Vec<_> = peer.take(subscription, COUNT).iter().map(text).collect();
