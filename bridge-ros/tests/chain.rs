@@ -59,7 +59,7 @@ impl Chain {
     }
 }
 
-fn values_cross(domains: [u32; 2], types: &[&str]) {
+fn values_cross(domains: [u32; 2], types: &str) {
     let Some(venv) = ros() else { return };
     let mut packages = Packages::new();
     packages.add_folder(&venv);

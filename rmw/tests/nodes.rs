@@ -24,12 +24,12 @@ use tautline_transport::{
 const SET_BOOL: &str = "std_srvs/srv/SetBool";
 const BASIC_TYPES: &str = "test_msgs/srv/BasicTypes";
 
-fn values(domain: u32, types: &[&str]) {
+fn values(domain: u32, types: &str) {
     let Some(domain) = Domain::new(domain) else { return };
     let mut packages = Packages::new();
     packages.add_folder(&domain.venv);
     let mut peer = domain.peer("values");
-    for name in types {
+    for name in types.split(' ') {
         Values::new(name).exchange(&mut peer, &domain.participant, &mut packages, name);
     }
 }

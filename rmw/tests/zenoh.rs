@@ -88,7 +88,7 @@ fn rmw_zenoh() -> Option<PathBuf> {
     found
 }
 
-fn values(domain: u32, types: &[&str]) {
+fn values(domain: u32, types: &str) {
     let Some(hosts) = Hosts::new(domain) else { return };
     let mut packages = Packages::new();
     packages.add_folder(Path::new(&hosts.domain.venv));

@@ -310,50 +310,19 @@ impl Drop for Program {
 }
 
 /// Types of all shapes, in groups of about the same length.
-pub const TYPES: [&[&str]; 4] = [
-    &[
-        "test_msgs/msg/Arrays",
-        "test_msgs/msg/BasicTypes",
-        "test_msgs/msg/BoundedPlainSequences",
-        "test_msgs/msg/BoundedSequences",
-        "test_msgs/msg/Builtins",
-        "test_msgs/msg/Constants",
-        "test_msgs/msg/Defaults",
-        "test_msgs/msg/Empty",
-        "test_msgs/msg/MultiNested",
-    ],
-    &[
-        "test_msgs/msg/Nested",
-        "test_msgs/msg/Strings",
-        "test_msgs/msg/UnboundedSequences",
-        "test_msgs/msg/WStrings",
-        "std_msgs/msg/String",
-        "std_msgs/msg/Bool",
-        "std_msgs/msg/Header",
-        "std_msgs/msg/ColorRGBA",
-        "std_msgs/msg/Float64",
-    ],
-    &[
-        "std_msgs/msg/Int64",
-        "std_msgs/msg/UInt8MultiArray",
-        "geometry_msgs/msg/Twist",
-        "geometry_msgs/msg/Pose",
-        "geometry_msgs/msg/PoseWithCovarianceStamped",
-        "geometry_msgs/msg/TransformStamped",
-        "geometry_msgs/msg/Polygon",
-        "nav_msgs/msg/Odometry",
-        "nav_msgs/msg/Path",
-    ],
-    &[
-        "sensor_msgs/msg/Image",
-        "sensor_msgs/msg/PointCloud2",
-        "sensor_msgs/msg/LaserScan",
-        "sensor_msgs/msg/Imu",
-        "sensor_msgs/msg/JointState",
-        "sensor_msgs/msg/CompressedImage",
-        "diagnostic_msgs/msg/DiagnosticArray",
-        "trajectory_msgs/msg/JointTrajectory",
-    ],
+pub const TYPES: [&str; 4] = [
+    "test_msgs/msg/Arrays test_msgs/msg/BasicTypes test_msgs/msg/BoundedPlainSequences \
+     test_msgs/msg/BoundedSequences test_msgs/msg/Builtins test_msgs/msg/Constants \
+     test_msgs/msg/Defaults test_msgs/msg/Empty test_msgs/msg/MultiNested",
+    "test_msgs/msg/Nested test_msgs/msg/Strings test_msgs/msg/UnboundedSequences test_msgs/msg/WStrings \
+     std_msgs/msg/String std_msgs/msg/Bool std_msgs/msg/Header std_msgs/msg/ColorRGBA \
+     std_msgs/msg/Float64",
+    "std_msgs/msg/Int64 std_msgs/msg/UInt8MultiArray geometry_msgs/msg/Twist geometry_msgs/msg/Pose \
+     geometry_msgs/msg/PoseWithCovarianceStamped geometry_msgs/msg/TransformStamped \
+     geometry_msgs/msg/Polygon nav_msgs/msg/Odometry nav_msgs/msg/Path",
+    "sensor_msgs/msg/Image sensor_msgs/msg/PointCloud2 sensor_msgs/msg/LaserScan sensor_msgs/msg/Imu \
+     sensor_msgs/msg/JointState sensor_msgs/msg/CompressedImage diagnostic_msgs/msg/DiagnosticArray \
+     trajectory_msgs/msg/JointTrajectory",
 ];
 
 /// Random messages of one type, as many each way.
@@ -462,8 +431,8 @@ fn connect(from: &mut Peer, to: &mut Peer, publisher: u64, subscription: u64) {
 }
 
 /// Random values of these types from one node of rclpy to another: equal, in order, none lost.
-pub fn cross(from: &mut Peer, to: &mut Peer, packages: &mut Packages, types: &[&str], keeps_all: bool) {
-    for name in types {
+pub fn cross(from: &mut Peer, to: &mut Peer, packages: &mut Packages, types: &str, keeps_all: bool) {
+    for name in types.split(' ') {
         let schema = Arc::new(packages.schema(&name.parse().unwrap()).unwrap());
         let text = |value: &Value| DynamicMessage::from_json(&schema, &value.to_string()).unwrap().to_json();
         let topic = format!("/{}", name.replace('/', "_").to_lowercase());
