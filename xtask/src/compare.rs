@@ -55,18 +55,9 @@ fn build_fastdds(build: Build) -> Result<PathBuf, String> {
 }
 
 /// Debian's packages of Cyclone DDS, of what it is linked with, and of iceoryx's daemon.
-const CYCLONEDDS: [&str; 10] = [
-    "iceoryx",
-    "cyclonedds-dev",
-    "libddsc0debian",
-    "libiceoryx-binding-c2",
-    "libiceoryx-hoofs2",
-    "libiceoryx-introspection2",
-    "libiceoryx-platform2",
-    "libiceoryx-posh-config2",
-    "libiceoryx-posh-roudi2",
-    "libiceoryx-posh2",
-];
+const CYCLONEDDS: &str = "iceoryx cyclonedds-dev libddsc0debian libiceoryx-binding-c2 libiceoryx-hoofs2 \
+    libiceoryx-introspection2 libiceoryx-platform2 libiceoryx-posh-config2 libiceoryx-posh-roudi2 \
+    libiceoryx-posh2";
 
 /// With Debian's packages, unpacked under the target directory: nothing is installed.
 fn build_cyclonedds(build: Build) -> Result<PathBuf, String> {
@@ -88,8 +79,8 @@ fn build_cyclonedds(build: Build) -> Result<PathBuf, String> {
 /// Where the packages are unpacked, and their libraries among them.
 fn cyclonedds_root() -> Result<(PathBuf, PathBuf), String> {
     let root = machine::target_dir().join("compare/cyclonedds-root");
-    if fs::read_to_string(root.join("complete")).ok() != Some(CYCLONEDDS.join("\n")) {
-        unpack(&root, &CYCLONEDDS).map_err(|error| format!("Debian's packages cannot be had: {error}"))?;
+    if !fs::read_to_string(root.join("complete")).is_ok_and(|there| there == CYCLONEDDS) {
+        unpack(&root, CYCLONEDDS).map_err(|error| format!("Debian's packages cannot be had: {error}"))?;
     }
     let lib = fs::read_dir(root.join("usr/lib")).map_err(|error| error.to_string())?;
     let mut lib = lib.flatten().map(|entry| entry.path()).filter(|path| path.join("libddsc.so").exists());
@@ -140,13 +131,13 @@ fn folder_with(of: Build, package: &str) -> Result<PathBuf, String> {
 }
 
 /// Fetches packages and unpacks them to a folder.
-fn unpack(root: &Path, packages: &[&str]) -> Result<(), String> {
+fn unpack(root: &Path, packages: &str) -> Result<(), String> {
     files::make_empty(root).map_err(files::at(root))?;
     let mut download = Command::new("apt-get");
-    execute(download.args(["download", "--quiet"]).args(packages).current_dir(root))?;
+    execute(download.args(["download", "--quiet"]).args(packages.split(' ')).current_dir(root))?;
     debian::unpack_all(root)?;
     // Written last: what was interrupted is fetched anew.
-    files::write(&root.join("complete"), packages.join("\n"))
+    files::write(&root.join("complete"), packages)
 }
 
 /// A minute from cold, with the programs of other benches.

@@ -10,23 +10,15 @@ use crate::{files, lints, machine, rmw, word};
 use std::os::unix::fs::symlink;
 use std::path::Path;
 
-const PACKAGES: [&str; 8] = [
-    "fastcdr",
-    "rcutils",
-    "rmw",
-    "rosidl_dynamic_typesupport",
-    "rosidl_runtime_c",
-    "rosidl_typesupport_fastrtps_cpp",
-    "rosidl_typesupport_interface",
-    "rosidl_typesupport_introspection_c",
-];
+const PACKAGES: &str = "fastcdr rcutils rmw rosidl_dynamic_typesupport rosidl_runtime_c rosidl_typesupport_fastrtps_cpp \
+    rosidl_typesupport_interface rosidl_typesupport_introspection_c";
 
 /// A distribution by its differences from one that PyPI has.
 struct Other {
     name: &'static str,
     from: Distribution,
     /// Names that it does not have.
-    hidden: &'static [&'static str],
+    hidden: &'static str,
     /// Text that differs.
     changed: &'static [(&'static str, &'static str)],
     /// Files of its own, in `include`.
@@ -38,32 +30,15 @@ const OTHERS: [Other; 2] = [
     Other {
         name: "humble",
         from: Distribution::Jazzy,
-        hidden: &[
-            "RMW_EVENT_PUBLICATION_MATCHED",
-            "RMW_EVENT_PUBLISHER_INCOMPATIBLE_TYPE",
-            "RMW_EVENT_SUBSCRIPTION_INCOMPATIBLE_TYPE",
-            "RMW_EVENT_SUBSCRIPTION_MATCHED",
-            "RMW_QOS_POLICY_DURABILITY_BEST_AVAILABLE",
-            "RMW_QOS_POLICY_LIVELINESS_BEST_AVAILABLE",
-            "RMW_QOS_POLICY_RELIABILITY_BEST_AVAILABLE",
-            "event_members_",
-            "event_typesupport",
-            "get_type_description_func",
-            "get_type_hash_func",
-            "has_any_key_member_",
-            "is_key_",
-            "request_typesupport",
-            "response_typesupport",
-            "rmw_discovery_options_copy",
-            "rmw_discovery_options_fini",
-            "rmw_discovery_options_t",
-            "rmw_get_zero_initialized_discovery_options",
-            "rmw_incompatible_type_status_t",
-            "rmw_matched_status_t",
-            "rmw_topic_endpoint_info_set_topic_type_hash",
-            "rosidl_type_hash_t",
-            "topic_type_hash",
-        ],
+        hidden: "RMW_EVENT_PUBLICATION_MATCHED RMW_EVENT_PUBLISHER_INCOMPATIBLE_TYPE \
+            RMW_EVENT_SUBSCRIPTION_INCOMPATIBLE_TYPE RMW_EVENT_SUBSCRIPTION_MATCHED \
+            RMW_QOS_POLICY_DURABILITY_BEST_AVAILABLE RMW_QOS_POLICY_LIVELINESS_BEST_AVAILABLE \
+            RMW_QOS_POLICY_RELIABILITY_BEST_AVAILABLE event_members_ event_typesupport \
+            get_type_description_func get_type_hash_func has_any_key_member_ is_key_ request_typesupport \
+            response_typesupport rmw_discovery_options_copy rmw_discovery_options_fini \
+            rmw_discovery_options_t rmw_get_zero_initialized_discovery_options \
+            rmw_incompatible_type_status_t rmw_matched_status_t \
+            rmw_topic_endpoint_info_set_topic_type_hash rosidl_type_hash_t topic_type_hash",
         changed: &[
             ("rmw_discovery_options_t discovery_options;", ""),
             ("RMW_GID_STORAGE_SIZE 16u", "RMW_GID_STORAGE_SIZE 24u"),
@@ -92,7 +67,7 @@ const OTHERS: [Other; 2] = [
     Other {
         name: "lyrical",
         from: Distribution::Kilted,
-        hidden: &[],
+        hidden: "",
         changed: &[
             ("bool is_cft_enabled;", "bool is_cft_enabled; bool is_cft_supported;"),
             (
@@ -137,7 +112,7 @@ fn make(other: &Other, prefix: &Path) -> Result<(), String> {
     }
     files::make_empty(prefix).map_err(say)?;
     let (include, mut texts) = (from.join("venv/include"), Vec::new());
-    for package in PACKAGES {
+    for package in PACKAGES.split(' ') {
         for path in files::below(&include.join(package)).map_err(files::at(&include))? {
             let name = path.strip_prefix(&include).unwrap_or(&path).display().to_string();
             texts.push((name, files::read(&path)?));
@@ -150,7 +125,7 @@ fn make(other: &Other, prefix: &Path) -> Result<(), String> {
     for (old, new) in other.changed {
         replace(&mut texts, old, new, |_| true)?;
     }
-    for hidden in other.hidden {
+    for hidden in other.hidden.split_whitespace() {
         let is_whole = |around: [Option<char>; 2]| {
             around.iter().flatten().all(|beside| !beside.is_alphanumeric() && *beside != '_')
         };

@@ -65,15 +65,8 @@ fn demo(steps: &mut Steps, built: bool) {
 /// Models of what has no lock, in every order within their bounds. Our crates alone are built with the flag, which in `RUSTFLAGS` would build all
 /// others anew, too.
 fn loom(steps: &mut Steps) {
-    const PACKAGES: [&str; 6] = [
-        "tautline-doorbell",
-        "tautline-executor",
-        "tautline-rt",
-        "tautline-tf",
-        "tautline-trace",
-        "tautline-transport",
-    ];
-    let packages = PACKAGES.map(|package| format!(" -p {package}")).concat();
+    const PACKAGES: &str = "doorbell executor rt tf trace transport";
+    let packages: String = PACKAGES.split(' ').map(|package| format!(" -p tautline-{package}")).collect();
     let mut command = cargo(&format!("test{packages} {SAME} --lib loom"));
     // Models need none of it, only their packages' other tests.
     command.args(["--config", "profile.dev.package.tautline-schema.opt-level=0"]);
