@@ -83,14 +83,6 @@ pub fn constant(base: &Base) -> &'static str {
 pub fn literal(value: &Value) -> String {
     match value {
         Value::Bool(value) => value.to_string(),
-        Value::I8(value) => value.to_string(),
-        Value::U8(value) => value.to_string(),
-        Value::I16(value) => value.to_string(),
-        Value::U16(value) => value.to_string(),
-        Value::I32(value) => value.to_string(),
-        Value::U32(value) => value.to_string(),
-        Value::I64(value) => value.to_string(),
-        Value::U64(value) => value.to_string(),
         Value::F32(value) if !value.is_finite() => special(f64::from(*value), "f32"),
         Value::F64(value) if !value.is_finite() => special(*value, "f64"),
         Value::F32(value) => format!("{value:?}"),
@@ -99,6 +91,7 @@ pub fn literal(value: &Value) -> String {
         Value::List(list) => elements(list, literal),
         // Messages have neither constants nor defaults of this type.
         Value::Struct(_) => "::core::default::Default::default()".to_owned(),
+        integer => integer.as_integer().unwrap_or(0).to_string(),
     }
 }
 
