@@ -16,7 +16,7 @@ impl DynamicMessage {
 
     /// The value at a path, and the type of it or of its elements, if that is a message.
     pub(crate) fn find(&self, path: &str) -> Result<(Cow<'_, Value>, usize), MessageError> {
-        let error = |reason| self.no_path(path, reason);
+        let error = |reason| no_path(&self.schema, path, reason);
         let mut fields = &self.fields;
         let mut node = 0;
         let mut parts = parts(path).peekable();
@@ -81,10 +81,6 @@ impl DynamicMessage {
             node = nested.unwrap_or(0);
         }
         Err(error("the path is empty".to_owned()))
-    }
-
-    fn no_path(&self, path: &str, reason: String) -> MessageError {
-        no_path(&self.schema, path, reason)
     }
 }
 
