@@ -282,16 +282,8 @@ fn messages_within_a_view() {
     };
     const BODY: [u8; 18] = [1, 5, 0, 6, 1, 7, 0, 0, 2, 0, 0, 0, 1, 8, 0, 9, 1, 0];
     assert_eq!(fault(&BODY), Ok(()));
-    let wrong = [
-        (0, "one.ok"),
-        (2, "two[0].ok"),
-        (4, "two[1].ok"),
-        (12, "many[0].ok"),
-        (14, "many[1].ok"),
-        (16, "flags[0]"),
-        (17, "flags[1]"),
-    ];
-    for (at, path) in wrong {
+    let paths = ["one.ok", "two[0].ok", "two[1].ok", "many[0].ok", "many[1].ok", "flags[0]", "flags[1]"];
+    for (at, path) in [0, 2, 4, 12, 14, 16, 17].into_iter().zip(paths) {
         let mut body = BODY;
         body[at] = 2;
         assert_eq!(fault(&body), Err((path.to_owned(), at)));
@@ -342,25 +334,15 @@ fn plain_types() {
     };
     let len = 8 + 8 + 6;
     assert_eq!(said(12, &[255], len), Ok(()));
-    for (at, byte, expected) in [
-        (
-            12,
-            2,
-            "byte 12 of the body, field `wheels[0].gear`: 2 is not a `Gear`: the message is of another type",
-        ),
-        (
-            20,
-            0x80,
-            "byte 20 of the body, field `wheels[1].gear`: -128 is not a `Gear`: the message is of another type",
-        ),
-        (21, 2, "byte 21 of the body, field `wheels[1].on`: 2 is not a bool: the message is of another type"),
-        (
-            18,
-            0x11,
-            "byte 16 of the body, field `wheels[1].letter`: 1114112 is not a `char`: the message is of another type",
-        ),
+    for (at, byte, start, field, reason) in [
+        (12, 2, 12, "wheels[0].gear", "2 is not a `Gear`"),
+        (20, 0x80, 20, "wheels[1].gear", "-128 is not a `Gear`"),
+        (21, 2, 21, "wheels[1].on", "2 is not a bool"),
+        (18, 0x11, 16, "wheels[1].letter", "1114112 is not a `char`"),
     ] {
-        assert_eq!(said(at, &[byte], len), Err(expected.to_owned()));
+        let of_another = "the message is of another type";
+        let expected = format!("byte {start} of the body, field `{field}`: {reason}: {of_another}");
+        assert_eq!(said(at, &[byte], len), Err(expected));
     }
     let cut = said(0, &[], len - 1).unwrap_err();
     assert!(

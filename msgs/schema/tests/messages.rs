@@ -53,54 +53,25 @@ fn big_endian_is_decoded() {
     assert_eq!(message.to_cdr()[4..8], [7, 0, 0x34, 0x12]);
 }
 
+/// What else is said of bad bytes, `bad_input.rs` shows.
 #[test]
-fn bad_bytes_have_a_field_and_an_offset() {
+fn lengths_are_checked_by_what_is_left_and_by_their_bounds() {
     let schema = schema(POSE);
-    let body = pose().to_body();
-    for len in 0..body.len() {
-        let (_, offset, fault) = fault(&schema, &body[..len]);
-        assert!(matches!(fault, DecodeFault::End { .. }), "{len}: {fault}");
-        assert!(offset <= len.next_multiple_of(8));
-    }
-    let changed = |at: usize, bytes: &[u8]| {
-        let mut body = body.clone();
-        body[at..at + bytes.len()].copy_from_slice(bytes);
+    let changed = |at: usize, byte: u8| {
+        let mut body = pose().to_body();
+        body[at] = byte;
         fault(&schema, &body)
     };
-    assert_eq!(
-        changed(0, &[255; 4]),
-        ("name".into(), 4, DecodeFault::End { needed: u32::MAX as usize, left: 68 })
-    );
-    assert_eq!(changed(5, &[0x80]), ("name".into(), 5, DecodeFault::Unicode));
-    assert_eq!(changed(7, b"x"), ("name".into(), 8, DecodeFault::Terminator));
-    assert_eq!(changed(8, &[100]), ("path".into(), 12, DecodeFault::End { needed: 1600, left: 60 }));
-    assert_eq!(changed(48, &[5]), ("data".into(), 48, DecodeFault::Bound { len: 5, bound: 4 }));
-    assert_eq!(changed(54, &[2]), ("ok".into(), 54, DecodeFault::Bool { value: 2 }));
-    assert_eq!(changed(60, &[0, 0, 1]), ("wide".into(), 60, DecodeFault::Unicode));
-    assert_eq!(changed(65, &[0]), ("wide".into(), 60, DecodeFault::Unicode));
-
+    assert_eq!(changed(8, 100), ("path".into(), 12, DecodeFault::End { needed: 1600, left: 60 }));
+    assert_eq!(changed(48, 5), ("data".into(), 48, DecodeFault::Bound { len: 5, bound: 4 }));
     let inner = self::schema("Point[] path\n===\nMSG: demo_msgs/Point\nbool[2] flags\nstring<=1 name\n");
-    let (path, offset, _) = fault(&inner, &[1, 0, 0, 0, 1, 3, 0, 0, 1, 0, 0, 0, 0]);
-    assert_eq!((path.as_str(), offset), ("path[0].flags[1]", 5));
-    let error = DynamicMessage::from_body(
-        &inner,
-        &[1, 0, 0, 0, 1, 1, 0, 0, 3, 0, 0, 0, b'a', b'b', 0],
-        Endian::Little,
-    );
-    assert_eq!(
-        error.unwrap_err().to_string(),
-        "`demo_msgs/msg/Demo`: at byte 12 of the body, field `path[0].name`: its length is 2 but at most 1 are \
-         allowed: its publisher uses another definition"
-    );
+    let (path, offset, _) = fault(&inner, &[1, 0, 0, 0, 1, 1, 0, 0, 3, 0, 0, 0, b'a', b'b', 0]);
+    assert_eq!((path.as_str(), offset), ("path[0].name", 12));
 }
 
 #[test]
-fn headers_and_trailing_bytes_are_checked() {
+fn trailing_bytes_are_checked() {
     let schema = schema("uint8 a\nfloat64[] c\n");
-    for header in [&[][..], &[0], &[0, 1, 0], &[0, 3, 0, 0, 1], &[0, 7, 0, 0, 1], &[1, 1, 0, 0]] {
-        let error = DynamicMessage::from_cdr(&schema, header).unwrap_err();
-        assert!(matches!(error, MessageError::Encapsulation { .. }), "{error}");
-    }
     let with = |count: usize, trailing: usize| {
         let mut message = DynamicMessage::new(&schema);
         message.set("c", vec![1.0; count]).unwrap();
