@@ -192,10 +192,9 @@ pub(crate) fn services<'n>(
 ) -> Vec<ServiceEndpoint> {
     let mut ends = Vec::new();
     for of in nodes.filter(|node| !node.name.starts_with(BRIDGE_PREFIX)) {
-        let lists = [(ServiceKind::Server, node.services_of(of)), (ServiceKind::Client, node.clients_of(of))];
-        for (kind, list) in lists {
+        for kind in [ServiceKind::Server, ServiceKind::Client] {
             // A node that has just ended has no services.
-            for (name, types) in list.unwrap_or_default() {
+            for (name, types) in node.services_of(of, kind).unwrap_or_default() {
                 ends.extend(types.into_iter().map(|type_name| ServiceEndpoint {
                     kind,
                     name: name.clone(),

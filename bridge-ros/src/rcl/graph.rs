@@ -7,7 +7,7 @@ use crate::qos::from_ros;
 use r2r_rcl::*;
 use std::collections::BTreeMap;
 use std::ffi::{CStr, c_char};
-use tautline_transport::{EndpointKind, Gid, NodeName, Qos};
+use tautline_transport::{EndpointKind, Gid, NodeName, Qos, ServiceKind};
 
 /// Names of topics or services, each with all its types.
 pub type RosTopics = BTreeMap<String, Vec<String>>;
@@ -50,28 +50,15 @@ impl Node {
         }
     }
 
-    /// The services that a node offers.
+    /// The services that a node offers or calls.
     ///
     /// # Errors
     /// [`RclError`]: the node has ended.
-    pub fn services_of(&self, node: &NodeName) -> Result<RosTopics, RclError> {
-        self.names_of(node, "listing a node's services", rcl_get_service_names_and_types_by_node)
-    }
-
-    /// The services that a node calls.
-    ///
-    /// # Errors
-    /// [`RclError`]: the node has ended.
-    pub fn clients_of(&self, node: &NodeName) -> Result<RosTopics, RclError> {
-        self.names_of(node, "listing a node's clients", rcl_get_client_names_and_types_by_node)
-    }
-
-    fn names_of(
-        &self,
-        node: &NodeName,
-        what: &'static str,
-        list_names: ListNames,
-    ) -> Result<RosTopics, RclError> {
+    pub fn services_of(&self, node: &NodeName, kind: ServiceKind) -> Result<RosTopics, RclError> {
+        let (what, list_names): (_, ListNames) = match kind {
+            ServiceKind::Server => ("listing a node's services", rcl_get_service_names_and_types_by_node),
+            ServiceKind::Client => ("listing a node's clients", rcl_get_client_names_and_types_by_node),
+        };
         let (name, namespace) = (text(&node.name)?, text(&node.namespace)?);
         // SAFETY: as in `topics`.
         unsafe {
