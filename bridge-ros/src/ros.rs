@@ -135,53 +135,6 @@ impl RosSide {
         let told = told().map(|(end, bridge)| (end.clone(), bridge));
         ends.into_iter().map(|end| (end, 0)).chain(told).collect()
     }
-
-    /// Announces to other bridges of the ROS domain what this bridge's endpoints mirror.
-    fn announce_to_bridges(
-        &mut self,
-        here: &LocalGraph,
-        transit: &Transit,
-        writers: &Writers<ProxyPublisher>,
-    ) {
-        let announced = |origin| transit.announced(origin);
-        let mut processes = HashMap::new();
-        let mut of_node = |node: &Option<NodeName>, pid: Option<u32>| {
-            let process = || processes.entry(pid).or_insert_with(|| process_node(pid)).clone();
-            Some(node.clone().unwrap_or_else(process))
-        };
-        let stand_ins: BTreeMap<Gid, Gid> =
-            writers.iter().map(|(_, gid, proxy)| (gid, proxy.writer.publisher.gid())).collect();
-        let mut graph = RemoteGraph::default();
-        graph.nodes.extend(here.nodes.iter().filter_map(|node| {
-            let (name, enclave) = (node.name.clone(), node.enclave.clone());
-            Some(RemoteNode { name, enclave, origin: announced(&node.origin)? })
-        }));
-        for end in &here.endpoints {
-            let (gid, way) = match end.kind {
-                EndpointKind::Publisher => (stand_ins.get(&end.gid).copied(), Direction::Out),
-                EndpointKind::Subscription => (Some(end.gid), Direction::In),
-            };
-            let choice = self.rules.choice(&end.topic).filter(|choice| choice.allows(way));
-            let (Some(origin), Some(gid), Some(choice)) = (announced(&end.origin), gid, choice) else {
-                continue;
-            };
-            let (topic, node) = (choice.far_topic, of_node(&end.node, end.pid));
-            graph.endpoints.push(TopicEndpoint { topic, gid, node, origin, ..(**end).clone() });
-        }
-        for end in &here.services {
-            let way = match end.kind {
-                ServiceKind::Server => Direction::Out,
-                ServiceKind::Client => Direction::In,
-            };
-            let choice = self.service_rules.choice(&end.name).filter(|choice| choice.allows(way));
-            let (Some(origin), Some(choice)) = (announced(&end.origin), choice) else { continue };
-            let (name, node) = (choice.far_topic, of_node(&end.node, end.pid));
-            graph.services.push(ServiceEndpoint { name, node, origin, ..(**end).clone() });
-        }
-        if let Err(reason) = self.own_table.publish(OriginTable { bridge: here.own, graph }) {
-            tracing::warn!("endpoints are not announced to other bridges of the ROS domain: {reason}");
-        }
-    }
 }
 
 impl FarSide for RosSide {
@@ -223,8 +176,46 @@ impl FarSide for RosSide {
         self.shown.by_name()
     }
 
+    /// Announces to other bridges of the ROS domain what this bridge's endpoints mirror.
     fn announce(&mut self, here: &LocalGraph, transit: &Transit, writers: &Writers<ProxyPublisher>) {
-        self.announce_to_bridges(here, transit, writers);
+        let announced = |origin| transit.announced(origin);
+        let mut processes = HashMap::new();
+        let mut of_node = |node: &Option<NodeName>, pid: Option<u32>| {
+            let process = || processes.entry(pid).or_insert_with(|| process_node(pid)).clone();
+            Some(node.clone().unwrap_or_else(process))
+        };
+        let stand_ins: BTreeMap<Gid, Gid> =
+            writers.iter().map(|(_, gid, proxy)| (gid, proxy.writer.publisher.gid())).collect();
+        let mut graph = RemoteGraph::default();
+        graph.nodes.extend(here.nodes.iter().filter_map(|node| {
+            let (name, enclave) = (node.name.clone(), node.enclave.clone());
+            Some(RemoteNode { name, enclave, origin: announced(&node.origin)? })
+        }));
+        for end in &here.endpoints {
+            let (gid, way) = match end.kind {
+                EndpointKind::Publisher => (stand_ins.get(&end.gid).copied(), Direction::Out),
+                EndpointKind::Subscription => (Some(end.gid), Direction::In),
+            };
+            let choice = self.rules.choice(&end.topic).filter(|choice| choice.allows(way));
+            let (Some(origin), Some(gid), Some(choice)) = (announced(&end.origin), gid, choice) else {
+                continue;
+            };
+            let (topic, node) = (choice.far_topic, of_node(&end.node, end.pid));
+            graph.endpoints.push(TopicEndpoint { topic, gid, node, origin, ..(**end).clone() });
+        }
+        for end in &here.services {
+            let way = match end.kind {
+                ServiceKind::Server => Direction::Out,
+                ServiceKind::Client => Direction::In,
+            };
+            let choice = self.service_rules.choice(&end.name).filter(|choice| choice.allows(way));
+            let (Some(origin), Some(choice)) = (announced(&end.origin), choice) else { continue };
+            let (name, node) = (choice.far_topic, of_node(&end.node, end.pid));
+            graph.services.push(ServiceEndpoint { name, node, origin, ..(**end).clone() });
+        }
+        if let Err(reason) = self.own_table.publish(OriginTable { bridge: here.own, graph }) {
+            tracing::warn!("endpoints are not announced to other bridges of the ROS domain: {reason}");
+        }
     }
 
     fn tick(&mut self, writers: &mut Writers<ProxyPublisher>) -> bool {
