@@ -45,7 +45,6 @@ pub(crate) fn from_ros(profile: &rmw_qos_profile_t) -> Qos {
     use rmw_qos_history_policy_e::RMW_QOS_POLICY_HISTORY_KEEP_ALL;
     use rmw_qos_liveliness_policy_e::RMW_QOS_POLICY_LIVELINESS_MANUAL_BY_TOPIC;
     use rmw_qos_reliability_policy_e::RMW_QOS_POLICY_RELIABILITY_RELIABLE;
-    let either = |is: bool, one, other| if is { one } else { other };
     Qos {
         history: match profile.history {
             RMW_QOS_POLICY_HISTORY_KEEP_ALL => History::KeepAll,
@@ -62,11 +61,10 @@ pub(crate) fn from_ros(profile: &rmw_qos_profile_t) -> Qos {
         },
         deadline: duration(profile.deadline),
         lifespan: duration(profile.lifespan),
-        liveliness: either(
-            profile.liveliness == RMW_QOS_POLICY_LIVELINESS_MANUAL_BY_TOPIC,
-            Liveliness::ManualByTopic,
-            Liveliness::Automatic,
-        ),
+        liveliness: match profile.liveliness {
+            RMW_QOS_POLICY_LIVELINESS_MANUAL_BY_TOPIC => Liveliness::ManualByTopic,
+            _ => Liveliness::Automatic,
+        },
         liveliness_lease_duration: duration(profile.liveliness_lease_duration),
     }
 }
