@@ -292,9 +292,7 @@ impl Peer {
             self.undescribed = undescribed;
         }
     }
-}
 
-impl Peer {
     fn report_objects(&mut self, sink: &mut impl FnMut(Record<'_>)) {
         // Acquire: pairs with the Release of the owner, who counts after writing.
         let described = self.map.described().load(Ordering::Acquire);
