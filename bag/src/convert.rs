@@ -285,8 +285,7 @@ impl Conversion<'_> {
             unpack_file(path, &unpacked, &mut self.hooks.go_on)?;
             let form = form_of(&unpacked).map_err(|error| unpacked_is(error, path))?;
             if form == Form::Zstd {
-                let reason = "it is compressed twice; unpack it with `zstd -d`".to_owned();
-                return Err(BagError::NoBag { path: path.clone(), reason });
+                return Err(BagError::no_bag(path, "it is compressed twice; unpack it with `zstd -d`"));
             }
             self.file(&unpacked, &mut source).map_err(|error| unpacked_is(error, path))?;
             fs::remove_file(&unpacked).map_err(BagError::write(&unpacked))?;
@@ -456,7 +455,7 @@ impl Conversion<'_> {
 fn unpacked_is(error: BagError, packed: &Path) -> BagError {
     match error {
         BagError::NoBag { reason, .. } => {
-            BagError::NoBag { path: packed.to_owned(), reason: format!("what is compressed in it: {reason}") }
+            BagError::no_bag(packed, format!("what is compressed in it: {reason}"))
         }
         other => other,
     }

@@ -75,6 +75,10 @@ pub enum BagError {
 }
 
 impl BagError {
+    pub(crate) fn no_bag(path: &Path, reason: impl Into<String>) -> Self {
+        BagError::NoBag { path: path.to_owned(), reason: reason.into() }
+    }
+
     pub(crate) fn write(path: &Path) -> impl FnOnce(io::Error) -> Self {
         let path = path.to_owned();
         |source| BagError::Write { path, source }

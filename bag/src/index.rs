@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a file has, by the summary at its end, without reading the rest.
 
+use crate::parts::opened;
 use crate::reader::FileSummary;
 use crate::record::{Records, parse};
 use crate::summary::{read, section, topics_in};
 use crate::{BagError, Compression};
 use mcap::records::{Record, op};
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::path::Path;
 
 /// More messages than any disk has room for.
@@ -24,12 +24,7 @@ const MOST_METADATA: usize = 64 << 20;
 /// # Errors
 /// The file cannot be read.
 pub fn index_of(path: &Path) -> Result<Option<(FileSummary, Vec<Metadata>)>, BagError> {
-    let file = File::open(path).map_err(BagError::read(path))?;
-    let found = file.metadata().map_err(BagError::read(path))?;
-    if !found.is_file() {
-        return Err(BagError::NoBag { path: path.to_owned(), reason: "it is not a file".to_owned() });
-    }
-    let bytes = found.len();
+    let (file, bytes) = opened(path)?;
     let Some(section) = section(&file).map_err(BagError::read(path))? else { return Ok(None) };
     let read = |from, to| read(&file, from, to).map_err(BagError::read(path));
     let mut of_file = FileSummary { path: path.to_owned(), bytes, ..FileSummary::default() };

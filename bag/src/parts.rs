@@ -93,16 +93,22 @@ fn is_headless(path: &Path, begin: &[u8]) -> bool {
     path.extension().is_some_and(|end| end == "mcap") && (is_short || begin.iter().all(|byte| *byte == 0))
 }
 
+/// A file, open for reading, and its length in bytes.
+pub(crate) fn opened(path: &Path) -> Result<(File, u64), BagError> {
+    let file = File::open(path).map_err(BagError::read(path))?;
+    let metadata = file.metadata().map_err(BagError::read(path))?;
+    match metadata.is_file() {
+        true => Ok((file, metadata.len())),
+        false => Err(BagError::no_bag(path, "it is not a file")),
+    }
+}
+
 /// The format of a file; a `.mcap` file whose beginning was never written is MCAP, too.
 ///
 /// # Errors
 /// It cannot be read, or has none of these formats.
 pub fn form_of(path: &Path) -> Result<Form, BagError> {
-    let file = File::open(path).map_err(BagError::read(path))?;
-    let no_bag = |reason: &str| BagError::NoBag { path: path.to_owned(), reason: reason.to_owned() };
-    if !file.metadata().map_err(BagError::read(path))?.is_file() {
-        return Err(no_bag("it is not a file"));
-    }
+    let (file, _) = opened(path)?;
     let mut begin = Vec::new();
     match file.take(SQLITE_MAGIC.len() as u64).read_to_end(&mut begin) {
         // Data behind a damaged sector may still be found.
@@ -116,9 +122,9 @@ pub fn form_of(path: &Path) -> Result<Form, BagError> {
     } else if begin.starts_with(&ZSTD_MAGIC) {
         Ok(Form::Zstd)
     } else if begin.is_empty() {
-        Err(no_bag("it is empty"))
+        Err(BagError::no_bag(path, "it is empty"))
     } else {
-        Err(no_bag("it begins neither as MCAP nor as SQLite nor as what zstd compressed"))
+        Err(BagError::no_bag(path, "it begins neither as MCAP nor as SQLite nor as what zstd compressed"))
     }
 }
 
@@ -155,21 +161,20 @@ pub fn custom_data_of(folder: &Path) -> Result<BTreeMap<String, String>, BagErro
 }
 
 fn information(described: &Path, file: File) -> Result<Information, BagError> {
-    let wrong = |reason: String| BagError::NoBag { path: described.to_owned(), reason };
     let mut text = String::new();
     file.take(MOST_METADATA + 1).read_to_string(&mut text).map_err(BagError::read(described))?;
     if text.len() as u64 > MOST_METADATA {
-        return Err(wrong(format!("it is longer than {MOST_METADATA} bytes")));
+        return Err(BagError::no_bag(described, format!("it is longer than {MOST_METADATA} bytes")));
     }
     let document: Document = serde_saphyr::from_str(&text).map_err(|error| {
         let first = error.to_string().lines().next().unwrap_or_default().to_owned();
-        wrong(format!("{first}; moved away, what is in the folder is taken"))
+        BagError::no_bag(described, format!("{first}; moved away, what is in the folder is taken"))
     })?;
     Ok(document.rosbag2_bagfile_information)
 }
 
 fn described_parts(folder: &Path, described: &Path, file: File) -> Result<Parts, BagError> {
-    let wrong = |reason: String| BagError::NoBag { path: described.to_owned(), reason };
+    let wrong = |reason: String| BagError::no_bag(described, reason);
     let information = information(described, file)?;
     let mode = information.compression_mode.to_ascii_lowercase();
     if !matches!(&*mode, "" | "none" | "file" | "message" | "storage") {
@@ -244,8 +249,8 @@ fn files_in(folder: &Path) -> Result<Vec<PathBuf>, BagError> {
         }
     }
     if files.is_empty() {
-        let reason = "there is neither metadata.yaml nor a .mcap or .db3 file in it".to_owned();
-        return Err(BagError::NoBag { path: folder.to_owned(), reason });
+        let reason = "there is neither metadata.yaml nor a .mcap or .db3 file in it";
+        return Err(BagError::no_bag(folder, reason));
     }
     in_order(&mut files);
     Ok(files)

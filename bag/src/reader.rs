@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reads a bag from its first byte to its last, with any content.
 
-use crate::parts::{EIO, Form, MAGIC, form_of, in_order};
+use crate::parts::{EIO, Form, MAGIC, form_of, in_order, opened};
 use crate::qos::joined;
 use crate::record::{Records, parse};
 use crate::summary::{BEFORE_CHECKSUM, definition, topic, topics_of};
@@ -174,7 +174,7 @@ pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
             None => "there is no .mcap file in it".to_owned(),
             Some(others) => to_convert(others, path),
         };
-        return Err(BagError::NoBag { path: path.to_owned(), reason });
+        return Err(BagError::no_bag(path, reason));
     }
     in_order(&mut files);
     Ok(files)
@@ -191,13 +191,9 @@ impl FileReader {
     /// # Errors
     /// It cannot be opened, or does not begin as an MCAP file.
     pub fn open(path: &Path) -> Result<Self, BagError> {
-        let file = File::open(path).map_err(BagError::read(path))?;
-        let metadata = file.metadata().map_err(BagError::read(path))?;
-        let no_bag = |reason: &str| BagError::NoBag { path: path.to_owned(), reason: reason.to_owned() };
-        if !metadata.is_file() {
-            return Err(no_bag("it is not a file"));
-        }
-        let (path, mut bytes) = (path.to_owned(), metadata.len());
+        let (file, mut bytes) = opened(path)?;
+        let no_bag = |reason: &str| BagError::no_bag(path, reason);
+        let path = path.to_owned();
         let summary = FileSummary { path: path.clone(), bytes, ..FileSummary::default() };
         let mut magic = [0; 8];
         if bytes < 8 || file.read_exact_at(&mut magic, 0).is_err() || magic != *MAGIC {

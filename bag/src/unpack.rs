@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Decompresses zstd data, and no more than the disk has room for.
 
+use crate::parts::opened;
 use crate::{BagError, MOST_BYTES};
 use rustix::fs::statvfs;
 use std::fs::File;
@@ -35,7 +36,7 @@ impl Allowance {
             "what is compressed in it becomes more than {MOST_RATIO} times as long, to fill a disk; if that is as it should be, unpack it \
              with `zstd -d`"
         );
-        Err(BagError::NoBag { path: path.to_owned(), reason })
+        Err(BagError::no_bag(path, reason))
     }
 
     /// Decompresses a message of a bag into `unpacked`.
@@ -43,15 +44,14 @@ impl Allowance {
     /// # Errors
     /// It is not what zstd wrote, or too long.
     pub fn message(&mut self, path: &Path, packed: &[u8], unpacked: &mut Vec<u8>) -> Result<(), BagError> {
-        let no_bag = |reason: String| BagError::NoBag { path: path.to_owned(), reason };
         unpacked.clear();
         let result = zstd::Decoder::with_buffer(packed)
             .and_then(|decoder| decoder.take(MOST_BYTES as u64 + 1).read_to_end(unpacked));
-        result.map_err(|error| no_bag(format!("a message cannot be decompressed: {error}")))?;
+        let fail = |error| BagError::no_bag(path, format!("a message cannot be decompressed: {error}"));
+        result.map_err(fail)?;
         if unpacked.len() > MOST_BYTES {
-            return Err(no_bag(format!(
-                "a message is longer than {MOST_BYTES} bytes when it is decompressed"
-            )));
+            let reason = format!("a message is longer than {MOST_BYTES} bytes when it is decompressed");
+            return Err(BagError::no_bag(path, reason));
         }
         self.packed += packed.len() as u64;
         self.take(path, unpacked.len() as u64)
@@ -63,14 +63,10 @@ impl Allowance {
 /// # Errors
 /// It cannot be read or written, is not what zstd wrote, or too long for the disk.
 pub fn unpack_file(from: &Path, to: &Path, go_on: &mut dyn FnMut() -> bool) -> Result<(), BagError> {
-    let file = File::open(from).map_err(BagError::read(from))?;
-    let packed = file.metadata().map_err(BagError::read(from))?.len();
+    let (file, packed) = opened(from)?;
     let mut allowance = Allowance { packed, unpacked: 0 };
     let mut file = BufReader::with_capacity(STEP, file);
-    let no_bag = |error: io::Error| BagError::NoBag {
-        path: from.to_owned(),
-        reason: format!("it cannot be decompressed: {error}"),
-    };
+    let no_bag = |error: io::Error| BagError::no_bag(from, format!("it cannot be decompressed: {error}"));
     let mut decoder = zstd::Decoder::with_buffer(&mut file).map_err(no_bag)?;
     let mut out = File::options().write(true).create_new(true).open(to).map_err(BagError::write(to))?;
     let mut step = vec![0; STEP];

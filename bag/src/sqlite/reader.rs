@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reading a `.db3` file of any rosbag2: schemas 1 (Dashing) to 4 (Iron and later). Its content is untrusted.
 
+use crate::parts::opened;
 use crate::reader::Message;
 use crate::summary::definition;
 use crate::{BagError, Definition, Stamp, Topic};
@@ -8,7 +9,6 @@ use rusqlite::config::DbConfig;
 use rusqlite::types::ValueRef;
 use rusqlite::{Connection, OpenFlags, Row};
 use std::collections::{BTreeMap, HashMap};
-use std::fs::File;
 use std::io::Read;
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
@@ -241,14 +241,13 @@ impl Database {
     }
 
     fn no_bag(&self, reason: String) -> BagError {
-        BagError::NoBag { path: self.path.clone(), reason }
+        BagError::no_bag(&self.path, reason)
     }
 }
 
 /// The length of a file. Fails if it is shorter than its header states.
 fn whole(path: &Path) -> Result<u64, BagError> {
-    let file = File::open(path).map_err(BagError::read(path))?;
-    let bytes = file.metadata().map_err(BagError::read(path))?.len();
+    let (file, bytes) = opened(path)?;
     let mut header = Vec::new();
     file.take(100).read_to_end(&mut header).map_err(BagError::read(path))?;
     let number = |at: usize, len: usize| -> Option<u64> {
@@ -266,7 +265,7 @@ fn whole(path: &Path) -> Result<u64, BagError> {
             page * pages,
             path.display()
         );
-        return Err(BagError::NoBag { path: path.to_owned(), reason });
+        return Err(BagError::no_bag(path, reason));
     }
     Ok(bytes)
 }
@@ -319,5 +318,5 @@ fn failed(path: &Path, error: rusqlite::Error) -> BagError {
         }
         _ => String::new(),
     };
-    BagError::NoBag { path: path.to_owned(), reason: format!("SQLite says: {error}{hint}") }
+    BagError::no_bag(path, format!("SQLite says: {error}{hint}"))
 }
