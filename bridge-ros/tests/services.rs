@@ -19,13 +19,9 @@ use tautline_transport::{Limits, Participant, ServiceType};
 const SET_BOOL: &str = "std_srvs/srv/SetBool";
 const BASIC_TYPES: &str = "test_msgs/srv/BasicTypes";
 
-fn qos() -> Qos {
-    Qos::default()
-}
-
 /// Answers on a thread of its own.
 fn serve_set_bool(node: &mut Node, name: &str) -> tautline::CallbackHandle {
-    let requests = node.create_service::<SetBool::Service>(name, qos()).unwrap().owned();
+    let requests = node.create_service::<SetBool::Service>(name, Qos::default()).unwrap().owned();
     let answer = requests.for_each(|request| async move {
         let success = request.message.data;
         let message = if success { "on" } else { "off" }.to_owned();
@@ -170,7 +166,7 @@ fn a_server_that_dies_ends_what_it_was_asked() {
     assert_eq!(here.wait("an answer", answer).unwrap().message, "on");
 
     // Here: the service goes from ROS, what it was asked stays unanswered there, and the next one answers.
-    let requests = here.node.create_service::<SetBool::Service>("/here", qos()).unwrap().owned();
+    let requests = here.node.create_service::<SetBool::Service>("/here", Qos::default()).unwrap().owned();
     let asking = server.tell(json!({ "do": "client", "name": "/here", "type": SET_BOOL }));
     server.tell(json!({ "do": "available", "end": asking }));
     server.tell(json!({ "do": "ask", "end": asking, "request": { "data": true } }));
@@ -188,7 +184,7 @@ fn a_silent_server_is_asked_no_more_than_there_is_room_for() {
     let Some((bridge, mut here, mut peer)) = joined_nodes(26) else { return };
 
     // Here: what waits is counted once it is refused, and when the server goes.
-    let silent = here.node.create_service::<SetBool::Service>("/silent", qos()).unwrap().owned();
+    let silent = here.node.create_service::<SetBool::Service>("/silent", Qos::default()).unwrap().owned();
     let _served = serve_set_bool(&mut here.node, "/set");
     let flooding = peer.tell(json!({ "do": "client", "name": "/silent", "type": SET_BOOL }));
     let other = peer.tell(json!({ "do": "client", "name": "/set", "type": SET_BOOL }));
