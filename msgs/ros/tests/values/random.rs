@@ -3,8 +3,8 @@
 
 use std::sync::Arc;
 
+use rand::RngExt;
 use rand::rngs::StdRng;
-use rand::{Rng, RngExt};
 use tautline_schema::{Base, Definition, DynamicMessage, FieldType, List, Primitive, Schema, Shape, Value};
 
 pub fn message(rng: &mut StdRng, schema: &Arc<Schema>) -> DynamicMessage {
@@ -22,76 +22,44 @@ fn structure(rng: &mut StdRng, schema: &Schema, definition: &Definition, depth: 
 fn value(rng: &mut StdRng, schema: &Schema, ty: &FieldType, depth: u32) -> Value {
     let most = 5 >> depth.min(2);
     let len = match ty.shape {
-        Shape::Single => return single(rng, schema, &ty.base, depth),
-        Shape::Array(len) => len,
-        Shape::Bounded(bound) => rng.random_range(0..=bound.min(most)),
-        Shape::Unbounded => rng.random_range(0..=most),
+        Shape::Single => None,
+        Shape::Array(len) => Some(len),
+        Shape::Bounded(bound) => Some(rng.random_range(0..=bound.min(most))),
+        Shape::Unbounded => Some(rng.random_range(0..=most)),
     };
-    let items = (0..len).map(|_| single(rng, schema, &ty.base, depth));
-    list(&ty.base, items.collect())
-}
-
-fn single(rng: &mut StdRng, schema: &Schema, base: &Base, depth: u32) -> Value {
-    match base {
-        Base::Primitive(primitive) => number(rng, *primitive),
-        Base::String { bound } | Base::WString { bound } => {
-            let most = bound.unwrap_or(9).min(9);
-            let len = rng.random_range(0..=most);
-            Value::String((0..len).map(|_| ['a', '"', 'é', '中', '😀'][rng.random_range(0..5)]).collect())
-        }
-        Base::Nested(name) => {
-            let definition = schema.referenced().find(|definition| definition.name == *name).unwrap();
-            Value::Struct(structure(rng, schema, definition, depth + 1))
-        }
-    }
-}
-
-fn number(rng: &mut StdRng, primitive: Primitive) -> Value {
-    let bits = rng.next_u64();
-    match primitive {
-        Primitive::Bool => Value::Bool(bits & 1 == 1),
-        Primitive::Byte | Primitive::Char | Primitive::IdlChar | Primitive::U8 => Value::U8(bits as u8),
-        Primitive::I8 => Value::I8(bits as i8),
-        Primitive::I16 => Value::I16(bits as i16),
-        Primitive::IdlWChar | Primitive::U16 => Value::U16(bits as u16),
-        Primitive::I32 => Value::I32(bits as i32),
-        Primitive::U32 => Value::U32(bits as u32),
-        Primitive::I64 => Value::I64(bits as i64),
-        Primitive::U64 => Value::U64(bits),
-        Primitive::F32 => Value::F32(f32::from_bits(bits as u32)),
-        Primitive::F64 => Value::F64(f64::from_bits(bits)),
-    }
-}
-
-fn list(base: &Base, items: Vec<Value>) -> Value {
-    macro_rules! collect {
-        ($variant:ident) => {
-            List::$variant(
-                items
-                    .into_iter()
-                    .map(|item| match item {
-                        Value::$variant(item) => item,
-                        other => panic!("{other:?}"),
-                    })
-                    .collect(),
-            )
+    macro_rules! one_or_list {
+        ($variant:ident, $random:expr) => {
+            match len {
+                None => Value::$variant($random),
+                Some(len) => Value::List(List::$variant((0..len).map(|_| $random).collect())),
+            }
         };
     }
-    Value::List(match base {
-        Base::String { .. } | Base::WString { .. } => collect!(String),
-        Base::Nested(_) => collect!(Struct),
+    match &ty.base {
         Base::Primitive(primitive) => match primitive {
-            Primitive::Bool => collect!(Bool),
-            Primitive::Byte | Primitive::Char | Primitive::IdlChar | Primitive::U8 => collect!(U8),
-            Primitive::I8 => collect!(I8),
-            Primitive::I16 => collect!(I16),
-            Primitive::IdlWChar | Primitive::U16 => collect!(U16),
-            Primitive::I32 => collect!(I32),
-            Primitive::U32 => collect!(U32),
-            Primitive::I64 => collect!(I64),
-            Primitive::U64 => collect!(U64),
-            Primitive::F32 => collect!(F32),
-            Primitive::F64 => collect!(F64),
+            Primitive::Bool => one_or_list!(Bool, rng.random::<bool>()),
+            Primitive::Byte | Primitive::Char | Primitive::IdlChar | Primitive::U8 => {
+                one_or_list!(U8, rng.random::<u8>())
+            }
+            Primitive::I8 => one_or_list!(I8, rng.random::<i8>()),
+            Primitive::I16 => one_or_list!(I16, rng.random::<i16>()),
+            Primitive::IdlWChar | Primitive::U16 => one_or_list!(U16, rng.random::<u16>()),
+            Primitive::I32 => one_or_list!(I32, rng.random::<i32>()),
+            Primitive::U32 => one_or_list!(U32, rng.random::<u32>()),
+            Primitive::I64 => one_or_list!(I64, rng.random::<i64>()),
+            Primitive::U64 => one_or_list!(U64, rng.random::<u64>()),
+            Primitive::F32 => one_or_list!(F32, f32::from_bits(rng.random())),
+            Primitive::F64 => one_or_list!(F64, f64::from_bits(rng.random())),
         },
-    })
+        Base::String { bound } | Base::WString { bound } => one_or_list!(String, text(rng, *bound)),
+        Base::Nested(name) => {
+            let definition = schema.referenced().find(|definition| definition.name == *name).unwrap();
+            one_or_list!(Struct, structure(rng, schema, definition, depth + 1))
+        }
+    }
+}
+
+fn text(rng: &mut StdRng, bound: Option<u32>) -> String {
+    let len = rng.random_range(0..=bound.unwrap_or(9).min(9));
+    (0..len).map(|_| ['a', '"', 'é', '中', '😀'][rng.random_range(0..5)]).collect()
 }
