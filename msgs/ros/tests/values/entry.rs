@@ -26,9 +26,13 @@ pub fn entries() -> &'static [Entry] {
     ENTRIES
 }
 
+/// What generated types have in common.
+trait Generated: Message + View + Fill + Serialize + DeserializeOwned + Default + PartialEq {}
+
+impl<T: Message + View + Fill + Serialize + DeserializeOwned + Default + PartialEq> Generated for T {}
+
 impl Entry {
-    const fn of<T: Message + View + Fill + Serialize + DeserializeOwned + Default + PartialEq + Clone>()
-    -> Self {
+    const fn of<T: Generated>() -> Self {
         Self {
             name: T::TYPE_NAME,
             hash: match T::TYPE_HASH {
@@ -42,8 +46,7 @@ impl Entry {
     }
 
     /// Of a plain type: its memory is checked as well.
-    const fn plain<T: Plain + Message + View + Fill + Serialize + DeserializeOwned + Default + PartialEq>()
-    -> Self {
+    const fn plain<T: Plain + Generated>() -> Self {
         Self { check: check_plain::<T>, ..Self::of::<T>() }
     }
 
@@ -59,10 +62,7 @@ impl Entry {
     }
 }
 
-fn check<T: Message + View + Fill + Serialize + DeserializeOwned + Default + PartialEq + Clone>(
-    cdr: &[u8],
-    dynamic: &DynamicMessage,
-) -> Vec<u8> {
+fn check<T: Generated>(cdr: &[u8], dynamic: &DynamicMessage) -> Vec<u8> {
     let name = T::TYPE_NAME;
     let owned = T::from_cdr(cdr).unwrap_or_else(|error| panic!("{error}"));
     let bytes = owned.to_cdr().unwrap();
@@ -94,7 +94,7 @@ fn check<T: Message + View + Fill + Serialize + DeserializeOwned + Default + Par
 }
 
 /// Read in place it is the same message, written in place it has the same bytes, whatever the memory held before.
-fn in_place<T: Message + View + Fill>(owned: &T, body: &[u8]) {
+fn in_place<T: Generated>(owned: &T, body: &[u8]) {
     let name = T::TYPE_NAME;
     let mut words = vec![u64::MAX; body.len().div_ceil(8) + 1];
     // SAFETY: the bytes of numbers.
@@ -129,10 +129,7 @@ fn in_place<T: Message + View + Fill>(owned: &T, body: &[u8]) {
 }
 
 /// As [`check`]; and the value's memory, its padding cleared, is the body.
-fn check_plain<T: Plain + Message + View + Fill + Serialize + DeserializeOwned + Default + PartialEq>(
-    cdr: &[u8],
-    dynamic: &DynamicMessage,
-) -> Vec<u8> {
+fn check_plain<T: Plain + Generated>(cdr: &[u8], dynamic: &DynamicMessage) -> Vec<u8> {
     let bytes = check::<T>(cdr, dynamic);
     let body = &bytes[4..];
     let value = T::from_cdr(&bytes).unwrap();
