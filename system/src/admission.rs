@@ -116,7 +116,7 @@ impl Running {
     /// The load, for the analysis.
     pub fn machine(&self) -> Machine<'_> {
         let mut machine = Machine::default();
-        for FileInUse { file, host, label } in &self.files {
+        for FileInUse { file, host, label, .. } in &self.files {
             machine.add_file(Share { file, host, label });
         }
         self.threads.iter().for_each(|thread| machine.add_thread(thread.clone()));

@@ -764,7 +764,7 @@ impl Machine<'_> {
         // A lock's ceiling is that of all who use it; who waits for a lock has the priority of its job.
         let of = |other: usize| match self.model.is_ceiling {
             true => {
-                let users = self.threads[other].members.iter().filter(|i| locks(*i));
+                let users = self.threads[other].members.iter().filter(|i| locks(i));
                 users.map(|i| self.priority_of(*i)).max().unwrap_or(0)
             }
             false => self.priority(other),

@@ -215,7 +215,7 @@ fn try_all<'c>(reserved: &[&'c CheckedCallback]) -> Result<(), (&'c str, RtError
         let probe = if callback.entry.floats { probe } else { probe.cores(CoreSet::one(callback.core)) };
         // The thread sleeps until all are there, or one is refused.
         let (stop, stopped) = mpsc::channel::<()>();
-        match probe.spawn(move || move || drop(stopped.recv())) {
+        match probe.spawn(move || move || stopped.recv().unwrap_or(())) {
             Ok(thread) => threads.push((stop, thread)),
             Err(error) => {
                 tried = Err((callback.entry.name.as_str(), error));

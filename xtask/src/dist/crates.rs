@@ -70,7 +70,7 @@ fn use_registry(names: &[String], crates: &Path, work: &Path) -> Result<(), Stri
         write(&registry.join(format!("{name}-{VERSION}/.cargo-checksum.json")), "{\"files\":{}}")?;
     }
     let from = "[source.crates-io]\nreplace-with = \"packed\"\n[source.packed]\ndirectory";
-    write(&source, &format!("{from} = {registry:?}\n"))?;
+    write(&source, format!("{from} = {registry:?}\n"))?;
     write_program(work, "", "")?;
     let from_registry = |command: &str| {
         let mut command = cargo(&format!("{command} --offline --target-dir target --config"));
@@ -122,7 +122,7 @@ tautline-r2r = "{VERSION}"
     );
     write(
         &work.join("Cargo.toml"),
-        &format!("[workspace]\nmembers = [\"program\"]\nresolver = \"3\"\n{end}"),
+        format!("[workspace]\nmembers = [\"program\"]\nresolver = \"3\"\n{end}"),
     )?;
     write(&work.join("program/Cargo.toml"), &manifest)?;
     write(&work.join("program/msgs/demo_msgs/msg/Speed.msg"), "float64 value\n")?;
