@@ -23,11 +23,10 @@ use std::time::Duration;
 use std::{mem, ptr};
 
 use crate::clock::{nanoseconds, thread_cpu_ns};
-use crate::enforcement::prove_kept;
 use crate::enforcer;
 use crate::fork::ProcessMark;
 use crate::policy::schedule;
-use crate::{Enforcement, Policy, RtError, current_tid, prove_enforcement, set_policy_of};
+use crate::{Enforcement, Policy, RtError, current_tid, prove_enforcement, prove_kept, set_policy_of};
 
 /// What sends the signal.
 #[derive(Clone, Copy)]

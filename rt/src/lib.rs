@@ -125,6 +125,7 @@ pub use budget::{BudgetTimer, OwnPriority, Refill, RemainingBudget};
 pub use caches::{Caches, copy_to_shared, fetch_to_read, fetch_to_write};
 pub use core_time::{CoreMark, CoreTime};
 pub use cores::{CoreSet, affinity_of, current_affinity, set_affinity, set_affinity_of};
+pub(crate) use enforcement::prove_kept;
 pub use enforcement::{Enforcement, prove_enforcement, prove_enforcement_by};
 pub use error::RtError;
 pub use exit::{AtExit, at_exit, exempt_children};
