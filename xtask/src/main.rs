@@ -412,6 +412,8 @@ fn stress_kills(steps: &mut Steps, build: Build, kills: u64, seed: Option<u64>, 
         let mut command = Command::new(folder.join("kills"));
         command.env("LD_LIBRARY_PATH", &libraries);
         command.args(arguments.split(' ')).args(seed.map(|seed| format!("--seed={seed}")));
+        // Beside builds, times say nothing.
+        command.args((build == Build::Tests).then_some("--no-limits"));
         command
     };
     steps.command("stress: kills at random", &mut command(&format!("random --kills {kills}")));
