@@ -255,7 +255,7 @@ impl<'a> Core<'a> {
     }
 
     /// Counts a step of a search; whether there may be more.
-    fn goes_on(&self) -> bool {
+    fn count_step(&self) -> bool {
         #[cfg(test)]
         STEPS.set(STEPS.get() + 1);
         self.effort.is_none_or(|effort| {
@@ -681,7 +681,7 @@ impl<'a> Level<'a> {
 
     fn count(&self, iterations: &mut u32) -> Result<(), AnalysisError> {
         *iterations += 1;
-        if self.core.goes_on() && *iterations <= MAX_ITERATIONS {
+        if self.core.count_step() && *iterations <= MAX_ITERATIONS {
             return Ok(());
         }
         Err(AnalysisError::IterationLimit {

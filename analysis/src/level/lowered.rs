@@ -226,7 +226,7 @@ impl Core<'_> {
                 return Some(window_ns);
             }
             window_ns = next_ns;
-            if !self.goes_on() {
+            if !self.count_step() {
                 return None;
             }
         }

@@ -794,7 +794,7 @@ impl Machine<'_> {
     fn ceiling_of(&self, i: usize) -> u8 {
         let callback = &self.model.callbacks[i];
         match callback.group {
-            Some(group) if self.model.groups[group].goes_by_ranks() => {
+            Some(group) if self.model.groups[group].has_ranks() => {
                 self.model.ceiling(group).unwrap_or(group_priority(group))
             }
             _ => callback.priority,

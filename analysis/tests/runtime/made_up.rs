@@ -34,7 +34,7 @@ pub enum Order {
 }
 
 impl Order {
-    pub fn goes_by_ranks(self) -> bool {
+    pub fn has_ranks(self) -> bool {
         matches!(self, Order::Rank | Order::Lowered)
     }
 }
@@ -200,7 +200,7 @@ impl Model {
         let share = load * self.hosts.len() as f64 / count as f64;
         let wcet =
             (slowest as f64 * share * rng.random_range(0.2..1.6)).round().clamp(1.0, slowest as f64) as u64;
-        let is_ranked = self.groups[core].goes_by_ranks();
+        let is_ranked = self.groups[core].has_ranks();
         let own = 10 + 3 * ((i as u8 * 7 + rng.random_range(0..7)) % 20);
         let in_group = rng.random_bool(if is_ranked { 0.7 } else { 0.25 });
         let is_outside =
@@ -308,7 +308,7 @@ impl Model {
     }
 
     fn is_ranked(&self, callback: &Callback) -> bool {
-        callback.group.is_some_and(|group| self.groups[group].goes_by_ranks())
+        callback.group.is_some_and(|group| self.groups[group].has_ranks())
     }
 
     /// The priority at which the thread of a group waits, if it has those of its callbacks, of which timers have none.
