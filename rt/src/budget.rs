@@ -25,7 +25,7 @@ use std::{mem, ptr};
 use crate::clock::{nanoseconds, thread_cpu_ns};
 use crate::enforcer;
 use crate::fork::ProcessMark;
-use crate::policy::schedule;
+use crate::schedule::schedule;
 use crate::{Enforcement, Policy, RtError, current_tid, prove_enforcement, prove_kept, set_policy_of};
 
 /// What sends the signal.

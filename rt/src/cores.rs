@@ -2,11 +2,12 @@
 //! Sets of cores, and binding threads to them.
 
 use std::sync::OnceLock;
-use std::{fmt, io};
+use std::{fmt, fs, io};
 
 use rustix::thread::{CpuSet, Pid, sched_getaffinity, sched_setaffinity};
 
-use crate::{RtError, current_tid, host};
+use crate::tid::pid;
+use crate::{RtError, current_tid};
 
 /// A set of cores: a fixed bit mask, plain data.
 ///
@@ -64,7 +65,7 @@ impl CoreSet {
     pub fn allowed() -> Result<CoreSet, RtError> {
         // The kernel reduces the requested cores to the cpuset: request all of them and read back.
         let probe = || {
-            let online = host::online_cores()?;
+            let online = online_cores()?;
             bind(None, online).map_err(|source| RtError::Kernel { what: "sched_setaffinity", source })?;
             current_affinity()
         };
@@ -111,7 +112,7 @@ impl CoreSet {
         if self.beyond == 0 && !self.is_empty() && ONLINE.get().is_some_and(|online| self.is_within(online)) {
             return Ok(());
         }
-        let online = host::online_cores()?;
+        let online = online_cores()?;
         ONLINE.get_or_init(|| online);
         if let Some(core) =
             self.beyond.checked_sub(1).or_else(|| self.iter().find(|core| !online.contains(*core)))
@@ -155,6 +156,16 @@ impl fmt::Debug for CoreSet {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "CoreSet({self})")
     }
+}
+
+/// The cores that are online.
+///
+/// # Errors
+/// [`RtError::Kernel`] if `/sys/devices/system/cpu/online` cannot be read.
+pub fn online_cores() -> Result<CoreSet, RtError> {
+    let text = fs::read_to_string("/sys/devices/system/cpu/online")
+        .map_err(|source| RtError::Kernel { what: "reading /sys/devices/system/cpu/online", source })?;
+    Ok(CoreSet::parse(&text).unwrap_or_default())
 }
 
 /// Binds the current thread to `cores` and reads the binding back.
@@ -220,11 +231,6 @@ fn not_allowed(asked: CoreSet) -> Result<RtError, RtError> {
     Ok(RtError::CoreNotAllowed { asked: asked.to_string(), allowed: CoreSet::allowed()?.to_string() })
 }
 
-/// Only a positive id names a thread: 0 would be the caller, and above `i32::MAX` none.
-pub(crate) fn pid(tid: u32) -> Result<Pid, RtError> {
-    i32::try_from(tid).ok().and_then(Pid::from_raw).ok_or(RtError::NoSuchThread { tid })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -260,7 +266,7 @@ mod tests {
 
     #[test]
     fn an_unknown_core_is_named_with_those_that_exist() {
-        let online = host::online_cores().unwrap();
+        let online = online_cores().unwrap();
         for core in [1023, 1024, 70_000, usize::MAX - 1] {
             if online.contains(core) {
                 continue;

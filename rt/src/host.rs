@@ -9,7 +9,7 @@ use std::sync::OnceLock;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use rustix::system::uname;
 
-use crate::{CoreSet, RtError};
+pub use crate::cores::online_cores;
 
 /// When the kernel may preempt its own work for a thread of higher priority.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -83,16 +83,6 @@ pub fn name() -> String {
     uname().nodename().to_string_lossy().into_owned()
 }
 
-/// The cores that are online.
-///
-/// # Errors
-/// [`RtError::Kernel`] if `/sys/devices/system/cpu/online` cannot be read.
-pub fn online_cores() -> Result<CoreSet, RtError> {
-    let text = fs::read_to_string("/sys/devices/system/cpu/online")
-        .map_err(|source| RtError::Kernel { what: "reading /sys/devices/system/cpu/online", source })?;
-    Ok(CoreSet::parse(&text).unwrap_or_default())
-}
-
 /// Time that the hypervisor gave to other guests while this machine, or this core, was ready to run, in ticks of 10
 /// ms since boot. 0 where the kernel reports none, as on bare metal or for a core that does not exist.
 pub fn steal_ticks(core: Option<usize>) -> u64 {
@@ -153,6 +143,7 @@ fn parse_steal(stat: &str, core: Option<usize>) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::CoreSet;
 
     #[test]
     fn kernel_texts_are_read() {

@@ -107,10 +107,13 @@ mod mutex;
 mod noise;
 mod patience;
 mod policy;
+mod refusal;
+mod schedule;
 mod sync;
 mod termination;
 mod thread;
 mod thread_time;
+mod tid;
 mod words;
 
 pub mod clock;
@@ -140,12 +143,12 @@ pub use memory::{
 pub use mutex::{PiGuard, PiMutex};
 pub use noise::Interruptions;
 pub use patience::Patience;
-pub use policy::{
-    Policy, current_policy, policy_of, set_own_priority, set_policy, set_policy_of, switch_own_priority,
+pub use policy::Policy;
+pub use schedule::{
+    current_policy, policy_of, set_own_priority, set_policy, set_policy_of, switch_own_priority,
 };
 pub use termination::termination_signals;
-pub use thread::{
-    JoinHandle, Realtime, ThreadBuilder, ThreadInfo, current_tid, short_name, threads, threads_of,
-};
+pub use thread::{JoinHandle, Realtime, ThreadBuilder, ThreadInfo, short_name, threads, threads_of};
 pub use thread_time::ThreadTime;
+pub use tid::current_tid;
 pub use words::{ForeignMap, ForeignWords, Words, WordsFile, page_words};

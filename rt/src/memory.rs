@@ -8,8 +8,9 @@ use std::ptr;
 use rustix::mm::{Advice, MlockAllFlags, madvise, mlockall};
 use rustix::process::{Resource, getrlimit};
 
+use crate::RtError;
+use crate::refusal::current_exe;
 use crate::shm::page_bytes;
-use crate::{RtError, permission};
 
 /// How memory is locked, now and for every later mapping.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
@@ -49,7 +50,7 @@ pub fn lock_memory(lock: MemoryLock) -> Result<(), RtError> {
             Some(bytes) => format!("{} KiB", bytes / 1024),
             None => "unlimited".to_owned(),
         },
-        exe: permission::current_exe(),
+        exe: current_exe(),
         source: errno.into(),
     })
 }

@@ -7,8 +7,8 @@ use std::{fs, io, thread};
 
 use crate::fork::ProcessMark;
 use crate::{
-    CoreSet, Policy, RtError, affinity_of, current_affinity, current_policy, policy_of, prefault_stack,
-    set_affinity, set_policy,
+    CoreSet, Policy, RtError, affinity_of, current_affinity, current_policy, current_tid, policy_of,
+    prefault_stack, set_affinity, set_policy,
 };
 
 /// Whether real-time policies are applied.
@@ -213,11 +213,6 @@ impl<T> JoinHandle<T> {
             Err(payload) => Err(panicked(self.name, Some(payload))),
         }
     }
-}
-
-/// The kernel's id of the current thread.
-pub fn current_tid() -> u32 {
-    rustix::thread::gettid().as_raw_nonzero().get().cast_unsigned()
 }
 
 /// Every thread of this process, in the kernel's order: also those that libraries have started.
