@@ -17,7 +17,7 @@
 use std::cell::Cell;
 use std::io;
 use std::marker::PhantomData;
-use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering, compiler_fence};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering, compiler_fence};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use std::{mem, ptr};
@@ -25,8 +25,7 @@ use std::{mem, ptr};
 use crate::clock::{nanoseconds, thread_cpu_ns};
 use crate::enforcer;
 use crate::fork::ProcessMark;
-use crate::schedule::schedule;
-use crate::{Enforcement, Policy, RtError, current_tid, prove_enforcement, prove_kept, set_policy_of};
+use crate::{Enforcement, OwnPriority, RtError, current_tid};
 
 /// What sends the signal.
 #[derive(Clone, Copy)]
@@ -102,106 +101,6 @@ pub struct RemainingBudget {
     pub refill_at_ns: u64,
 }
 
-/// The `SCHED_FIFO` or `SCHED_RR` priority of a thread, which other threads can change. A thread that is demoted at that time gets the new
-/// priority when the demotion ends.
-#[derive(Debug)]
-pub struct OwnPriority {
-    is_round_robin: bool,
-    /// The kernel's flag for threads that start ordinary threads, which a thread without privileges cannot clear.
-    flags: libc::c_int,
-    priority: AtomicU8,
-    /// Set before the thread lowers its own priority, and cleared before it gets its priority back.
-    lowered: AtomicBool,
-    /// What enforces the thread's budgets, once it has a `BudgetTimer`.
-    enforced: OnceLock<Enforcement>,
-}
-
-impl OwnPriority {
-    /// How often a change is repeated, because the thread has changed its policy itself meanwhile.
-    const TRIES: u32 = 1_000;
-
-    /// The priority of a thread with this policy. A thread without a priority gets `SCHED_FIFO` if it is changed.
-    pub fn new(policy: Policy) -> OwnPriority {
-        OwnPriority {
-            is_round_robin: matches!(policy, Policy::RoundRobin(_)),
-            flags: 0,
-            priority: AtomicU8::new(policy.realtime_priority().unwrap_or(1)),
-            lowered: AtomicBool::new(false),
-            enforced: OnceLock::new(),
-        }
-    }
-
-    /// The priority of a thread that got it with [`set_own_priority`](crate::set_own_priority): threads that it starts are ordinary.
-    pub fn with_ordinary_children(policy: Policy) -> OwnPriority {
-        OwnPriority { flags: libc::SCHED_RESET_ON_FORK, ..OwnPriority::new(policy) }
-    }
-
-    /// The policy that the thread has, or gets back after a demotion.
-    pub fn policy(&self) -> Policy {
-        self.with(self.priority.load(Ordering::SeqCst))
-    }
-
-    const fn with(&self, priority: u8) -> Policy {
-        if self.is_round_robin { Policy::RoundRobin(priority) } else { Policy::Fifo(priority) }
-    }
-
-    /// Restores the thread's own priority, which other threads may change meanwhile. False if the kernel refuses, because the process no
-    /// longer has the privilege: the thread then stays demoted.
-    fn resume(&self) -> bool {
-        self.lowered.store(false, Ordering::SeqCst);
-        // A thread that changes the priority later sets the policy, too.
-        for _ in 0..8 {
-            let policy = self.policy();
-            if !schedule(policy, self.flags) {
-                self.lowered.store(true, Ordering::SeqCst);
-                return false;
-            }
-            if self.policy() == policy {
-                break;
-            }
-        }
-        true
-    }
-
-    /// Gives thread `tid` another priority.
-    ///
-    /// # Real-time
-    /// Not for the changed thread itself, which never waits.
-    ///
-    /// # Errors
-    /// As [`set_policy_of`], and of a thread with a [`BudgetTimer`] as [`prove_enforcement`]; the thread then has its former priority.
-    pub fn change(&self, tid: u32, priority: u8) -> Result<(), RtError> {
-        self.with(priority).check()?;
-        if let Some(by) = self.enforced.get() {
-            prove_kept(*by, priority.saturating_add(1))?;
-        }
-        let former = self.priority.swap(priority, Ordering::SeqCst);
-        let changed = self.settle(tid);
-        if changed.is_err() {
-            self.priority.store(former, Ordering::SeqCst);
-            // The thread may have its former policy already.
-            let _ = self.settle(tid);
-        }
-        changed
-    }
-
-    /// Sets the thread's policy, again if the thread has changed it meanwhile. The thread's later changes use the stored priority.
-    fn settle(&self, tid: u32) -> Result<(), RtError> {
-        let mut outcome = Ok(());
-        for _ in 0..Self::TRIES {
-            let lowered = self.lowered.load(Ordering::SeqCst);
-            let policy = if lowered { Policy::Other { nice: 0 } } else { self.policy() };
-            outcome = match set_policy_of(tid, policy) {
-                Err(error @ RtError::PolicyNotKept { .. }) => Err(error),
-                Err(error) => return Err(error),
-                Ok(()) if self.lowered.load(Ordering::SeqCst) == lowered => return Ok(()),
-                Ok(()) => continue,
-            };
-        }
-        outcome
-    }
-}
-
 /// Enforces budgets of processor time for the current thread. Each thread has at most one, and creates it
 /// itself.
 ///
@@ -224,17 +123,7 @@ pub struct BudgetTimer {
 }
 
 impl BudgetTimer {
-    /// Creates the timer of the current thread, which has, or will have, this priority. All timers of the process use one otherwise unused
-    /// real-time signal. Proves first that budgets are enforced at this priority: see [`prove_enforcement`].
-    ///
-    /// # Errors
-    /// Those of [`prove_enforcement`]; [`RtError::Kernel`]: no signal is free, no timer can be created, or the thread already has one.
-    pub fn new(own: Arc<OwnPriority>) -> Result<BudgetTimer, RtError> {
-        let by = prove_enforcement(own.policy().realtime_priority().unwrap_or(1).saturating_add(1))?;
-        Self::enforced(own, by)
-    }
-
-    /// Like [`new`](Self::new), without a proof.
+    /// Creates the timer as [`new`](Self::new) does, but without a proof.
     pub(crate) fn enforced(own: Arc<OwnPriority>, by: Enforcement) -> Result<BudgetTimer, RtError> {
         let signal = signal()?;
         let failed = |what| RtError::Kernel { what, source: io::Error::last_os_error() };
@@ -433,11 +322,8 @@ fn set(state: &HandlerState, after_ns: u64) {
 fn demote(state: &HandlerState) {
     // SAFETY: `BudgetTimer` sets it to an object that it keeps alive, and to null before it releases that object, in this thread.
     let Some(own) = (unsafe { state.own.get().as_ref() }) else { return };
-    own.lowered.store(true, Ordering::SeqCst);
-    if schedule(Policy::Other { nice: 0 }, own.flags) {
+    if own.lower() {
         state.demoted.store(true, Ordering::Relaxed);
-    } else {
-        own.lowered.store(false, Ordering::SeqCst);
     }
 }
 
@@ -534,7 +420,7 @@ mod tests {
     use super::*;
     use crate::clock::{burn_cpu, monotonic_ns, sleep_until_monotonic, test_time};
     use crate::permission::{realtime_permitted, test_needs};
-    use crate::{Realtime, ThreadBuilder, current_policy, prove_enforcement_by};
+    use crate::{Policy, Realtime, ThreadBuilder, current_policy, prove_enforcement_by};
     use rustix::process::{Resource, getrlimit};
     use rustix::thread::{CapabilitySet, capabilities, set_capabilities};
     use std::sync::{Mutex, MutexGuard, PoisonError};

@@ -105,8 +105,10 @@ mod lock_file;
 mod memory;
 mod mutex;
 mod noise;
+mod own_priority;
 mod patience;
 mod policy;
+mod proof;
 mod refusal;
 mod schedule;
 mod sync;
@@ -124,12 +126,11 @@ pub mod permission;
 pub mod shm;
 pub mod terminal;
 
-pub use budget::{BudgetTimer, OwnPriority, Refill, RemainingBudget};
+pub use budget::{BudgetTimer, Refill, RemainingBudget};
 pub use caches::{Caches, copy_to_shared, fetch_to_read, fetch_to_write};
 pub use core_time::{CoreMark, CoreTime};
 pub use cores::{CoreSet, affinity_of, current_affinity, set_affinity, set_affinity_of};
-pub(crate) use enforcement::prove_kept;
-pub use enforcement::{Enforcement, prove_enforcement, prove_enforcement_by};
+pub use enforcement::Enforcement;
 pub use error::RtError;
 pub use exit::{AtExit, at_exit, exempt_children};
 pub use fence::full_fence;
@@ -142,8 +143,10 @@ pub use memory::{
 };
 pub use mutex::{PiGuard, PiMutex};
 pub use noise::Interruptions;
+pub use own_priority::OwnPriority;
 pub use patience::Patience;
 pub use policy::Policy;
+pub use proof::{prove_enforcement, prove_enforcement_by};
 pub use schedule::{
     current_policy, policy_of, set_own_priority, set_policy, set_policy_of, switch_own_priority,
 };
