@@ -10,7 +10,7 @@
 
 use std::sync::Arc;
 
-use crate::{Base, Definition, Field, FieldType, Place, Primitive, Shape, TypeName, well_known};
+use crate::{Base, Definition, Field, FieldType, Place, Primitive, Shape, TypeName};
 
 /// `name` with a suffix: `Foo_Request`.
 pub(crate) fn part(name: &TypeName, suffix: &str) -> TypeName {
@@ -33,7 +33,7 @@ pub(crate) fn service(name: &TypeName, request: Definition, response: Definition
         &event_name,
         &file,
         vec![
-            single("info", &well_known::event_info()),
+            single("info", &TypeName::constant("service_msgs", "ServiceEventInfo")),
             at_most_one("request", &request.name),
             at_most_one("response", &response.name),
         ],
@@ -63,7 +63,7 @@ pub(crate) fn action(
         let ty = FieldType { base: Base::Primitive(primitive), shape: Shape::Single };
         field_of(field, ty, &file)
     };
-    let goal_id = || single("goal_id", &well_known::uuid());
+    let goal_id = || single("goal_id", &TypeName::constant("unique_identifier_msgs", "UUID"));
 
     let send_goal = part(name, "_SendGoal");
     let send_goal_service = service(
@@ -72,7 +72,10 @@ pub(crate) fn action(
         message(
             &part(&send_goal, "_Response"),
             &file,
-            vec![primitive("accepted", Primitive::Bool), single("stamp", &well_known::time())],
+            vec![
+                primitive("accepted", Primitive::Bool),
+                single("stamp", &TypeName::constant("builtin_interfaces", "Time")),
+            ],
         ),
     );
     let get_result = part(name, "_GetResult");

@@ -24,20 +24,3 @@ pub(crate) fn definition(name: &TypeName) -> Result<Option<Definition>, SchemaEr
         _ => Ok(None),
     }
 }
-
-pub(crate) fn time() -> TypeName {
-    name(1)
-}
-
-pub(crate) fn event_info() -> TypeName {
-    name(2)
-}
-
-pub(crate) fn uuid() -> TypeName {
-    name(3)
-}
-
-fn name(index: usize) -> TypeName {
-    let (package, name, _) = ALL[index];
-    TypeName::constant(package, name)
-}
