@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::fmt::{self, Write};
 use std::sync::Arc;
 
-use crate::definition::short_name;
+use crate::field_type::short_name;
 use crate::number::python_float;
 use crate::parse::{Numbered, lines, parse_part, shortened};
 use crate::{Definition, Fault, Place, Schema, SchemaError, TypeName, Value, names};

@@ -32,7 +32,7 @@
 //!
 //! | module | holds |
 //! |---|---|
-//! | `names`, `definition`, `value` | [`TypeName`], [`Definition`], [`Value`]: the plain data |
+//! | `names`, `field_type`, `value`, `definition` | [`TypeName`], [`FieldType`], [`Value`], [`Definition`]: the plain data |
 //! | `parse` | text of files to definitions |
 //! | `derived`, `well_known` | what ROS derives from services and actions, and with which messages |
 //! | `bundle` | a type and all it consists of as one text |
@@ -53,6 +53,7 @@ mod derived;
 mod description;
 mod echo;
 mod error;
+mod field_type;
 mod hash;
 mod layout;
 mod message;
@@ -67,13 +68,14 @@ mod text;
 mod value;
 mod well_known;
 
-pub use definition::{Base, Constant, Definition, Field, FieldType, Primitive, Shape};
+pub use definition::{Constant, Definition, Field};
 pub use description::{
     FieldDescription, FieldTypeDescription, HashedTypeDescription, IndividualTypeDescription, NamedHash,
     TypeDescription,
 };
 pub use echo::EchoForm;
 pub use error::{Fault, Place, SchemaError};
+pub use field_type::{Base, FieldType, Primitive, Shape};
 pub use hash::TypeHash;
 pub use layout::{FieldLayout, Layout, NotPlain, Plain, Size};
 pub use message::{DynamicMessage, Endian};
