@@ -8,7 +8,7 @@ use std::sync::Arc;
 use crate::field_type::short_name;
 use crate::number::python_float;
 use crate::parse::{Numbered, lines, parse_part, shortened};
-use crate::{Definition, Fault, Place, Schema, SchemaError, TypeName, Value, names};
+use crate::{Definition, Fault, Place, SchemaError, TypeName, Value, names};
 
 /// Parses a type and those that follow it.
 pub(crate) fn parse(name: &TypeName, text: &str) -> Result<BTreeMap<TypeName, Arc<Definition>>, SchemaError> {
@@ -38,9 +38,9 @@ pub(crate) fn parse(name: &TypeName, text: &str) -> Result<BTreeMap<TypeName, Ar
 }
 
 /// Writes a type and those it consists of.
-pub(crate) fn write(schema: &Schema) -> String {
-    let mut text = schema.definition().to_text();
-    for definition in schema.referenced() {
+pub(crate) fn write<'a>(root: &Definition, referenced: impl Iterator<Item = &'a Definition>) -> String {
+    let mut text = root.to_text();
+    for definition in referenced {
         text.push_str(&"=".repeat(80));
         text.push_str("\nMSG: ");
         text.push_str(&short_name(&definition.name));
@@ -51,7 +51,7 @@ pub(crate) fn write(schema: &Schema) -> String {
 }
 
 impl Definition {
-    /// The definition alone as text: as [`Schema::to_text`] without the types it consists of.
+    /// The definition alone as text: as [`Schema::to_text`](crate::Schema::to_text) without the types it consists of.
     pub fn to_text(&self) -> String {
         let mut text = String::new();
         // Writing to a `String` cannot fail.

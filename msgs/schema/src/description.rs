@@ -9,8 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::parse::parse_python_default;
 use crate::{
-    Base, Definition, Field, FieldType, Place, Primitive, Schema, SchemaError, Shape, TypeHash, TypeName,
-    names,
+    Base, Definition, Field, FieldType, Place, Primitive, SchemaError, Shape, TypeHash, TypeName, names,
 };
 
 /// A type and all types it consists of, as ROS 2 nodes send it to each other.
@@ -90,15 +89,6 @@ impl TypeDescription {
         TypeHash::of(&text)
     }
 
-    /// The description of type `index` of a schema.
-    fn of(schema: &Schema, index: usize) -> Self {
-        let describe = |index: usize| IndividualTypeDescription::from(&*schema.node(index).definition);
-        Self {
-            type_description: describe(index),
-            referenced_type_descriptions: schema.reachable(index).into_iter().map(describe).collect(),
-        }
-    }
-
     /// The type and all definitions.
     pub(crate) fn definitions(&self) -> Result<(TypeName, BTreeMap<TypeName, Arc<Definition>>), SchemaError> {
         let mut definitions = BTreeMap::new();
@@ -112,23 +102,6 @@ impl TypeDescription {
             }
         }
         Ok((name, definitions))
-    }
-}
-
-impl From<&Schema> for TypeDescription {
-    fn from(schema: &Schema) -> Self {
-        Self::of(schema, 0)
-    }
-}
-
-impl From<&Schema> for HashedTypeDescription {
-    fn from(schema: &Schema) -> Self {
-        let indices = std::iter::once(0).chain(schema.reachable(0));
-        let type_hashes = indices.map(|index| NamedHash {
-            type_name: schema.node(index).definition.name.to_string(),
-            hash_string: TypeDescription::of(schema, index).hash().to_string(),
-        });
-        Self { type_description_msg: TypeDescription::of(schema, 0), type_hashes: type_hashes.collect() }
     }
 }
 

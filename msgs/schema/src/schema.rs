@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use crate::error::{MAX_DEPTH, MAX_SIZE, MAX_VALUES};
 use crate::{
-    Base, Definition, Fault, Field, SchemaError, Shape, TypeDescription, TypeHash, TypeName, bundle,
-    well_known,
+    Base, Definition, Fault, Field, HashedTypeDescription, IndividualTypeDescription, NamedHash, SchemaError,
+    Shape, TypeDescription, TypeHash, TypeName, bundle, well_known,
 };
 
 /// Returns a type's definition; `None` if there is none.
@@ -118,7 +118,7 @@ impl Schema {
     /// The type and those it consists of as one text, which [`from_text`](Self::from_text) reads. Normalised: without
     /// comments, constants first.
     pub fn to_text(&self) -> String {
-        bundle::write(self)
+        bundle::write(self.definition(), self.referenced())
     }
 
     /// Type `index` of the schema; 0 is the type itself.
@@ -145,6 +145,34 @@ impl Schema {
         let mut reached: Vec<_> = self.indices().filter(|&index| reached[index] && index != start).collect();
         reached.sort_by_key(|&index| &self.types[index].definition.name);
         reached
+    }
+}
+
+impl TypeDescription {
+    /// The description of type `index` of a schema.
+    fn of(schema: &Schema, index: usize) -> Self {
+        let describe = |index: usize| IndividualTypeDescription::from(&*schema.node(index).definition);
+        Self {
+            type_description: describe(index),
+            referenced_type_descriptions: schema.reachable(index).into_iter().map(describe).collect(),
+        }
+    }
+}
+
+impl From<&Schema> for TypeDescription {
+    fn from(schema: &Schema) -> Self {
+        Self::of(schema, 0)
+    }
+}
+
+impl From<&Schema> for HashedTypeDescription {
+    fn from(schema: &Schema) -> Self {
+        let indices = std::iter::once(0).chain(schema.reachable(0));
+        let type_hashes = indices.map(|index| NamedHash {
+            type_name: schema.node(index).definition.name.to_string(),
+            hash_string: TypeDescription::of(schema, index).hash().to_string(),
+        });
+        Self { type_description_msg: TypeDescription::of(schema, 0), type_hashes: type_hashes.collect() }
     }
 }
 
