@@ -3,7 +3,7 @@
 //! The same holds for the other crates that are free of circles.
 //!
 //! A module uses another one if its code without tests has a path that begins with `crate`, `super`, `self` or a child module and leads
-//! there. Methods that a module adds to a type of another one are not seen.
+//! there; a name that the root exports leads to where it comes from. Methods that a module adds to a type of another one are not seen.
 
 #![allow(missing_docs, reason = "a test")]
 
@@ -83,18 +83,22 @@ fn each_room_uses_only_those_below_it() {
 #[test]
 fn circles_are_found_and_named() {
     let sources = [
-        ("", "mod a; mod b; mod c; mod d; pub use a::A; // crate::nothing::X"),
+        ("", "mod a; mod b; mod c; mod d; pub use a::A; pub use f::{F, G}; // crate::nothing::X"),
         ("a", "mod deep; use crate::{b::B, c}; fn f() { deep::g::<'\"'>() }"),
         ("a::deep", "use std::fmt;\n#[cfg(test)]\nmod tests {\n    use crate::a::A;\n}\n"),
         ("b", "use crate::c::{self, C as _}; /// [`X`](crate::a::A)\nstruct S;"),
         ("c", "fn f() -> crate::a::deep::D { \"crate::b::B\" }"),
         ("d", "mod e; fn f() { e::g() }"),
         ("d::e", "use super::f;"),
+        ("f", "pub struct F(crate::g::H); pub struct G;"),
+        ("g", "pub struct H; fn f() { crate::F::new() }"),
     ];
     let sources = sources.map(|(name, text)| (name.to_owned(), text.to_owned())).into();
     let expected = [
         "circle of modules: d -> d::e (e::g), d::e -> d (super::f)",
+        "circle of modules: f -> g (crate::g::H), g -> f (crate::F::new)",
         "circle in src: a -> c (crate::c), b -> c (crate::c::self), a -> b (crate::b::B), c -> a::deep (crate::a::deep::D)",
+        "circle in src: f -> g (crate::g::H), g -> f (crate::F::new)",
         "circle in d: d -> d::e (e::g), d::e -> d (super::f)",
     ];
     let sorted =
@@ -127,6 +131,11 @@ fn sources(folder: &str) -> Sources {
 
 fn uses_of(sources: &Sources) -> Uses {
     let is_module = |path: &[&str]| sources.contains_key(&path.join("::"));
+    let root = code(sources.get("").map_or("", String::as_str));
+    let exports: BTreeMap<&str, Vec<&str>> = paths(&tokens(&root), |first| is_module(&[first]))
+        .into_iter()
+        .map(|path| (*path.last().unwrap(), path))
+        .collect();
     let uses = sources.iter().map(|(module, text)| {
         let own: Vec<&str> = module.split("::").filter(|part| !part.is_empty()).collect();
         let code = code(text);
@@ -141,6 +150,11 @@ fn uses_of(sources: &Sources) -> Uses {
                     // What follows the module is its item's.
                     part => place.push(part),
                 }
+            }
+            if let Some(exported) = place.first().and_then(|first| exports.get(first))
+                && !is_module(&place[..1])
+            {
+                place.splice(..1, exported.iter().copied());
             }
             while !is_module(&place) {
                 place.pop();
