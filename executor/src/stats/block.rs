@@ -6,7 +6,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use tautline_rt::{Policy, ThreadInfo, Words};
 
-use super::file::StatsSlot;
 use super::histogram::{HISTOGRAM_WORDS, Histogram, HistogramSnapshot};
 use super::inputs::{INPUT_WORDS, Inputs, SizeClass};
 use super::moments::{MOMENT_WORDS, Moment, Moments};
@@ -87,8 +86,6 @@ pub(crate) struct Block {
     pub execution: Histogram,
     pub moments: Moments,
     pub inputs: Inputs,
-    /// Its entry in a file, if it has one: dropped after the words are no longer used.
-    _place: Option<StatsSlot>,
 }
 
 impl Drop for Block {
@@ -99,16 +96,16 @@ impl Drop for Block {
 
 impl Block {
     pub fn private() -> Block {
-        Block::new(Words::private(BLOCK_WORDS), None)
+        Block::new(Words::private(BLOCK_WORDS))
     }
 
-    pub fn new(words: Words, place: Option<StatsSlot>) -> Block {
+    pub fn new(words: Words) -> Block {
         let words = Arc::new(words);
         let response = Histogram::within(Arc::clone(&words), HEAD_WORDS);
         let execution = Histogram::within(Arc::clone(&words), HEAD_WORDS + HISTOGRAM_WORDS);
         let moments = Moments::within(Arc::clone(&words), MOMENTS_AT);
         let inputs = Inputs::within(Arc::clone(&words), INPUTS_AT);
-        Block { words, response, execution, moments, inputs, _place: place }
+        Block { words, response, execution, moments, inputs }
     }
 
     pub fn head(&self) -> Option<&[AtomicU64; HEAD_WORDS]> {

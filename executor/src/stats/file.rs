@@ -8,8 +8,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use tautline_rt::{ForeignWords, Words, WordsFile, page_words};
 
-use super::HistogramSnapshot;
-use super::block::{BLOCK_WORDS, Block, CallbackSnapshot, get_text, kind, put_text, state, word};
+use super::block::{BLOCK_WORDS, CallbackSnapshot, get_text, kind, put_text, state, word};
+use super::histogram::HistogramSnapshot;
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautstat");
 /// The version of the layout here and in `block.rs`.
@@ -188,7 +188,7 @@ impl StatisticsFile {
     }
 
     /// A place for the statistics of one more callback: all zeros.
-    pub(super) fn claim(&self) -> io::Result<Block> {
+    pub(super) fn claim(&self) -> io::Result<(Words, StatsSlot)> {
         let places = &self.places;
         let mut free = places.free.lock().unwrap_or_else(PoisonError::into_inner);
         let count = &places.header[header::PLACES];
@@ -201,7 +201,7 @@ impl StatisticsFile {
             // Release: pairs with the Acquire in `ForeignWords::read`; the file has grown by then.
             None => count.store(next + 1, Ordering::Release),
         }
-        Ok(Block::new(words, Some(StatsSlot { index, places: Arc::clone(places) })))
+        Ok((words, StatsSlot { index, places: Arc::clone(places) }))
     }
 }
 

@@ -6,10 +6,11 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::block::{self, word};
+use super::callback::{CallbackStats, Job, QueueState};
 use super::histogram::{Histogram, bucket_of};
 use super::inputs::{Inputs, class_of};
 use super::moments::{self, Moment, MomentKind, Moments};
-use super::{CallbackStats, DeadlineMiss, Job, Overrun, QueueState, Watch};
+use crate::options::{DeadlineMiss, Overrun, Watch};
 use crate::sync::{Word, fence};
 
 impl Histogram {
