@@ -143,7 +143,7 @@ pub enum AnalysisError {
         /// The task without a bound.
         task: String,
         /// Why.
-        reason: crate::system::Unbounded,
+        reason: Unbounded,
     },
 
     /// Without a bound for one task, what it triggers or delays has none either.
@@ -292,4 +292,31 @@ pub enum AnalysisError {
         /// How many exist.
         count: usize,
     },
+}
+
+/// Why the executor of a callback gives it no bound.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Unbounded {
+    /// Several threads run it and others at one priority, in an order that they choose, and poll while they wait for one another.
+    MultiThreaded,
+    /// Another thread passes it on, and it runs in its executor's own order.
+    Events,
+    /// A timer of an executor that takes messages first, of which the RMW always reports more.
+    TimerAfterMessages,
+}
+
+impl std::fmt::Display for Unbounded {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Unbounded::MultiThreaded => {
+                "the threads of a MultiThreadedExecutor run callbacks in an order of their own, and poll while they wait for one another"
+            }
+            Unbounded::Events => {
+                "an EventsExecutor gets its messages from another thread, and runs callbacks in an order of its own"
+            }
+            Unbounded::TimerAfterMessages => {
+                "a StaticSingleThreadedExecutor takes the messages of all priorities before it runs a timer"
+            }
+        })
+    }
 }

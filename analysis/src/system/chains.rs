@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! End-to-end bounds of the chains of a system.
 use super::fixpoint::Solved;
-use super::{Chain, Matching, Part, System, Transfer, join};
+use super::join;
+use super::model::{Chain, Matching, Part, System, Transfer};
 use crate::{AnalysisError, Response};
 
 /// The end-to-end bounds of a chain, in nanoseconds.

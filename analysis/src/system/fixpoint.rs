@@ -3,7 +3,8 @@
 use std::cmp::Ordering;
 
 use super::join::{self, JoinBound, Timing};
-use super::{System, Transfer, Unbounded};
+use super::model::{System, Transfer};
+use crate::error::Unbounded;
 use crate::level::{self, Effort, First};
 use crate::{AnalysisError, Order, Release, Response, Task};
 
@@ -77,7 +78,7 @@ pub(super) fn solve(system: &System, effort: &Effort) -> Result<Solved, Analysis
         for core in 0..members.len() {
             if std::mem::take(&mut dirty[core]) {
                 let local: Vec<Task> = members[core].iter().map(|i| tasks[*i].clone()).collect();
-                let super::Core { overheads, stall_ns } = &system.cores[core];
+                let super::model::Core { overheads, stall_ns } = &system.cores[core];
                 let first: Vec<_> = members[core].iter().map(|i| Some(firsts[*i]?.first(&tasks))).collect();
                 let analysed = level::Core::beside(&local, &first, overheads, &relays[core], *stall_ns)?;
                 let analysed = analysed.with_effort(effort);

@@ -65,53 +65,8 @@
 //! f, is estimated as 1 / (T_f + J_f + R_f) at least, as an average of what is no less, and that of another one as 1 / A_i at most,
 //! A_i = max(T_i - J_i, least distance) - R_i. If that is always less, f is the pivot whenever it has sent something, so that each of its
 //! messages is an activation; if not, the pivot is not known.
-use super::System;
+use super::model::{Join, Matching, System};
 use crate::{AnalysisError, Release, Task};
-
-/// A callback that runs once it has messages of several others.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Join {
-    /// Indices of the callbacks that take the messages, one for each stream, in its thread. They are triggered by the
-    /// publisher, or released from outside, and store the message.
-    pub inputs: Vec<usize>,
-    /// For each of these, the input of the join whose messages it takes, from 0: an input may have several
-    /// publishers.
-    pub ports: Vec<usize>,
-    /// Which messages belong together.
-    pub matching: Matching,
-}
-
-/// Which messages of a join belong together.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Matching {
-    /// The newest message of each input, as soon as each input has a new one.
-    Newest,
-    /// The newest of the messages that were taken, where each run takes one message: the way of ROS 2's executors.
-    NewestTaken,
-    /// Messages with equal stamps: they all descend from one source, or from several sources that are
-    /// released together.
-    Exact,
-    /// Messages whose stamps lie within a window, by message_filters' `ApproximateTime`.
-    Approximate {
-        /// The longest distance of two stamps of a set, in nanoseconds.
-        window_ns: u64,
-    },
-    /// The first messages whose stamps lie within a window, by message_filters' `ApproximateEpsilonTime`.
-    ApproximateEpsilon {
-        /// The longest distance of two stamps of a set, in nanoseconds.
-        window_ns: u64,
-    },
-    /// The newest message of each input, whenever the fastest input has a message, by message_filters'
-    /// `LatestTime`.
-    LatestTime,
-}
-
-impl Matching {
-    /// Whether a set has the newest of each input, whatever the stamps.
-    pub(crate) fn is_newest(self) -> bool {
-        matches!(self, Matching::Newest | Matching::NewestTaken)
-    }
-}
 
 /// The bounds of a join once every input has a sender, all in nanoseconds.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -8,8 +8,9 @@
 use std::collections::HashMap;
 use std::ops::Range;
 
+use super::chains;
 use super::fixpoint::{self, Solved};
-use super::{Callback, System, chains};
+use super::model::{Callback, System};
 use crate::level::{Core, Effort};
 use crate::{Hold, Release, Response, Task};
 
