@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::time::Duration;
 
+use super::content::Lock;
 use super::{
     CallbackEntry, CheckedSystem, Client, CoreEntry, Executor, JoinPolicy, OverrunPolicy, SystemFile,
     ThreadPriority, WakeUp, locks, reservations,
@@ -283,9 +284,9 @@ impl Union {
         }
         // Locks of two files are not the same, whatever their names.
         let (Origin::File(number) | Origin::Thread(number)) = origin;
-        let lock = |lock: &locks::Lock| {
+        let lock = |lock: &Lock| {
             let resource = format!("{number} {}", lock.resource);
-            locks::Lock { task: lock.task + first, resource, ..lock.clone() }
+            Lock { task: lock.task + first, resource, ..lock.clone() }
         };
         self.file.locks.extend(file.locks.iter().map(lock));
         for (index, chain) in file.system.chains.iter().enumerate() {

@@ -3,6 +3,10 @@
 use std::collections::{BTreeSet, HashSet};
 use std::time::Duration;
 
+use super::content::{
+    CallbackEntry, Client, CoreEntry, Executor, JoinPolicy, OverrunPolicy, SystemFile, ThreadPriority,
+    TopicEntry, WakeUp,
+};
 use super::declared::{Costs, Declared};
 use super::graph::Graph;
 use super::locks;
@@ -15,11 +19,7 @@ use super::reservations;
 use super::sections;
 use super::streams::{First, Source, Streams};
 use super::version;
-use super::wake::{self, WakeUp};
-use super::{
-    CallbackEntry, Client, CoreEntry, Executor, JoinPolicy, OverrunPolicy, SystemFile, ThreadPriority,
-    TopicEntry,
-};
+use super::wake;
 use crate::system::{Callback, Chain, Core, Matching, Part, Relay, System, Transfer, Unbounded};
 use crate::{AnalysisError, Hold, Order, Overheads, Rank, Release, Task, Throttling};
 

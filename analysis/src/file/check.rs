@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
-use super::{CallbackEntry, Client, JoinPolicy, MOST_DEPTH, OverrunPolicy, SystemFile};
+use super::content::{CallbackEntry, Client, JoinPolicy, MOST_DEPTH, OverrunPolicy, SystemFile};
 use crate::system::{Chain, ChainBound, Core, SystemReport};
 use crate::{AnalysisError, Overheads, Release, Reservation, Task, Throttling, utilisation};
 
@@ -302,7 +302,7 @@ fn stages(file: &SystemFile, chain: &Chain) -> Option<Vec<usize>> {
 }
 
 fn cores(file: &SystemFile, report: &SystemReport) -> Vec<CheckedCore> {
-    let core = |(index, entry): (usize, &super::CoreEntry)| {
+    let core = |(index, entry): (usize, &super::content::CoreEntry)| {
         let members = file.system.callbacks.iter().zip(&report.callbacks).filter(|(c, _)| c.core == index);
         let tasks: Vec<Task> = members
             .map(|(callback, outcome)| {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The file as it is written: every section with its positions in the text, before names are resolved.
+use super::content::{Client, Executor, JoinPolicy, LinkPriority, OverrunPolicy, ThreadPriority};
 use super::reader::At;
-use super::{Client, Executor, JoinPolicy, LinkPriority, OverrunPolicy, ThreadPriority};
 use crate::{LockProtocol, Order, Reservation};
 
 /// How priorities are chosen for callbacks that name none.

@@ -3,7 +3,7 @@
 //! callback.
 use std::collections::{HashMap, HashSet};
 
-use super::JoinPolicy;
+use super::content::JoinPolicy;
 use super::declared::{Callback, Declared, Topic};
 use super::places::Place;
 use super::problem::Collector;

@@ -2,6 +2,7 @@
 //! Locks that callbacks share, and how long they block.
 use std::collections::{BTreeMap, HashMap, HashSet};
 
+use super::content::Lock;
 use super::declared::{Callback, Declared};
 use super::places::Place;
 use super::problem::Collector;
@@ -26,17 +27,6 @@ pub(super) fn check(file: &Declared, places: &[Option<Place>], problems: &Collec
             }
         }
     }
-}
-
-/// A lock that a task takes.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Lock {
-    pub task: usize,
-    /// How many tasks from `task` on belong to its callback, one for each way that messages reach it.
-    pub streams: usize,
-    pub resource: String,
-    pub length_ns: u64,
-    pub protocol: LockProtocol,
 }
 
 pub(super) fn of(file: &Declared, streams: &Streams) -> Vec<Lock> {

@@ -2,10 +2,10 @@
 //! Threads and their priorities.
 use std::collections::HashSet;
 
+use super::content::{Client, ThreadPriority};
 use super::declared::{Callback, Declared, Group, Policy};
 use super::places::Place;
 use super::problem::Collector;
-use super::{Client, ThreadPriority};
 use crate::{AnalysisError, Overheads, Reservation, Task, assign};
 
 /// One thread: a callback, or a group of them.

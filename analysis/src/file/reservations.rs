@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Callbacks with a reservation: which entries of the file are allowed for them, and the time that they take from every
 //! core that they may run on.
+use super::content::{Client, CoreEntry};
 use super::declared::{Callback as Declaration, Declared};
 use super::places::Place;
 use super::problem::Collector;
 use super::streams::Streams;
-use super::{Client, CoreEntry};
 use crate::Reservation;
 use crate::system::Callback;
 

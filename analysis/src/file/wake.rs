@@ -9,7 +9,7 @@
 
 use std::collections::BTreeMap;
 
-use super::Client;
+use super::content::{Client, WakeUp};
 use super::declared::Declared;
 use super::places::Place;
 use super::priorities::Thread;
@@ -17,14 +17,6 @@ use super::problem::Collector;
 
 /// Topics that a thread's bell has places for.
 const BELL_TOPICS: usize = 63;
-/// Who wakes the thread of a callback for a message: see docs/wake-ups.md.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum WakeUp {
-    /// The publisher, as always in `rmw_wait` of ROS 2's executors.
-    Publisher,
-    /// The sampler of its node, for this reason.
-    Sampler(&'static str),
-}
 
 /// Chooses who wakes each thread, in the order of the threads.
 pub(super) fn choose(file: &Declared, places: &[Place], threads: &[Thread]) -> Vec<WakeUp> {
