@@ -12,7 +12,6 @@ mod curve;
 mod lowered;
 
 use curve::{Curve, Demand, WHOLE_CORE, merge};
-use lowered::Lowered;
 
 /// Ends the search where utilisation is so close to 1 that the busy window is practically endless.
 const MAX_ITERATIONS: u32 = 100_000;
@@ -103,6 +102,40 @@ impl Effort {
 
     pub fn steps(&self) -> u64 {
         self.steps.get()
+    }
+}
+
+/// A thread of which some jobs run below its ceiling.
+#[derive(Debug)]
+struct Lowered {
+    members: Vec<usize>,
+    group: u32,
+    /// The lowest priority of its jobs.
+    floor: u8,
+    ceiling: u8,
+}
+
+impl Lowered {
+    /// Returns those of a core.
+    fn all(tasks: &[Task]) -> Vec<Self> {
+        let mut all: Vec<Self> = Vec::new();
+        for (i, task) in tasks.iter().enumerate() {
+            let Some(Group { id, .. }) = task.group else { continue };
+            match all.iter_mut().find(|thread| thread.group == id) {
+                Some(thread) => {
+                    thread.members.push(i);
+                    thread.floor = thread.floor.min(task.lowest());
+                }
+                None => all.push(Self {
+                    members: vec![i],
+                    group: id,
+                    floor: task.lowest(),
+                    ceiling: task.priority,
+                }),
+            }
+        }
+        all.retain(|thread| thread.floor < thread.ceiling);
+        all
     }
 }
 

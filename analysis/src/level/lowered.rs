@@ -14,42 +14,8 @@
 //!
 //! *Its own jobs.* While it has work, the core has work of the floor's level. So that level's busy window, with all jobs of the thread, bounds each
 //! response: [`Core::window`]. [`Core::by_rank`] has bounds that leave out jobs of lower ranks.
-use super::{Core, Curve, Demand, Level, MAX_ITERATIONS, Shared};
+use super::{Core, Curve, Demand, Level, Lowered, MAX_ITERATIONS, Shared};
 use crate::{AnalysisError, Group, Order, Rank, Task};
-
-/// A thread of which some jobs run below its ceiling.
-#[derive(Debug)]
-pub(super) struct Lowered {
-    pub members: Vec<usize>,
-    group: u32,
-    /// The lowest priority of its jobs.
-    pub floor: u8,
-    ceiling: u8,
-}
-
-impl Lowered {
-    /// Returns those of a core.
-    pub fn all(tasks: &[Task]) -> Vec<Self> {
-        let mut all: Vec<Self> = Vec::new();
-        for (i, task) in tasks.iter().enumerate() {
-            let Some(Group { id, .. }) = task.group else { continue };
-            match all.iter_mut().find(|thread| thread.group == id) {
-                Some(thread) => {
-                    thread.members.push(i);
-                    thread.floor = thread.floor.min(task.lowest());
-                }
-                None => all.push(Self {
-                    members: vec![i],
-                    group: id,
-                    floor: task.lowest(),
-                    ceiling: task.priority,
-                }),
-            }
-        }
-        all.retain(|thread| thread.floor < thread.ceiling);
-        all
-    }
-}
 
 impl Core<'_> {
     /// The thread of a task, if its jobs have priorities of their own.
