@@ -60,11 +60,10 @@ pub fn run(args: &InitArgs) -> Outcome<ExitCode> {
         print(args, None, &format!("Wrote {path}. Change it to your system, then run: taut check {path}"))?;
         return Ok(ExitCode::SUCCESS);
     }
-    let refuse = |error: trace::TraceError| Failure::unusable(error.to_string());
     let (recording, overheads) = match &args.from_trace {
-        Some(_) if args.common.is_domain_named() => return Err(refuse(trace::TraceError::DomainOfRecording)),
-        Some(trace) => (trace::file::read(trace).map_err(refuse)?, Vec::new()),
-        None => (observe(args).map_err(refuse)?, measured_lines(args.common.domain()?)?),
+        Some(_) if args.common.is_domain_named() => return Err(trace::has_its_domain()),
+        Some(trace) => (trace::file::read(trace)?, Vec::new()),
+        None => (observe(args)?, measured_lines(args.common.domain()?)?),
     };
     let priorities = match args.from_trace {
         Some(_) => HashMap::new(),
@@ -123,13 +122,13 @@ fn waiting_priorities(domain: u32) -> Outcome<HashMap<(u32, u32), u8>> {
     Ok(snapshots.flat_map(of_one).collect())
 }
 
-fn observe(args: &InitArgs) -> Result<trace::recording::Recording, trace::TraceError> {
-    let domain = args.common.domain().map_err(trace::TraceError::Domain)?;
+fn observe(args: &InitArgs) -> Outcome<trace::recording::Recording> {
+    let domain = args.common.domain()?;
     let time = args.common.timeout().map_or(args.seconds, |timeout| timeout.min(args.seconds));
-    let mut end = End::after(Some(time)).map_err(trace::TraceError::Signal)?;
+    let mut end = End::after(Some(time))?;
     // A new folder, in which no other user can have put a file.
     let folder = std::env::temp_dir().join(format!("taut-init-{}", std::process::id()));
-    let refuse = |source| trace::TraceError::Write { path: folder.clone(), source };
+    let refuse = |error: io::Error| trace::output::unwritable(&folder, &error);
     std::fs::DirBuilder::new().mode(0o700).create(&folder).map_err(refuse)?;
     let (file, begun) = (folder.join("trace"), format!("observing domain {domain} for {time:?}"));
     let recorded = record::record(&file, domain, &mut end, args.common.json, &begun);

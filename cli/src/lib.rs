@@ -116,7 +116,7 @@ pub fn run() -> ExitCode {
         Verb::Apply(args) => apply::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Doctor(args) => doctor::run(&args),
         Verb::Demo(args) => demo::run(args),
-        Verb::Trace(args) => trace::run(&args).map(|()| ExitCode::SUCCESS).map_err(Failure::from),
+        Verb::Trace(args) => trace::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Gateway(args) => sibling::GATEWAY.run(&[], &args),
         Verb::Record(args) => sibling::BAG.run(&["record"], &args),
         Verb::Play(args) => sibling::BAG.run(&["play"], &args),

@@ -6,6 +6,7 @@ use std::cell::Cell;
 use std::error::Error;
 use std::fmt;
 use std::io;
+use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -101,6 +102,14 @@ impl Failure {
         Failure::no("")
     }
 
+    pub fn unreadable(path: &Path, error: &io::Error) -> Self {
+        Failure::unusable(format!("`{}` cannot be read: {error}", path.display()))
+    }
+
+    pub fn unwritable(path: &Path, error: &io::Error) -> Self {
+        Failure::unusable(format!("`{}` cannot be written: {error}", path.display()))
+    }
+
     /// The failure if no `what` is called `name`; suggests the nearest of the names `there`, which `taut LIST` prints.
     pub fn unknown<'n>(what: &str, name: &str, there: impl Iterator<Item = &'n str>, list: &str) -> Self {
         let meant = did_you_mean(name, there);
@@ -153,10 +162,6 @@ pub struct End {
     is_wait_printed: Cell<bool>,
 }
 
-fn no_signals(error: io::Error) -> Failure {
-    Failure::unusable(format!("signals cannot be caught: {error}"))
-}
-
 pub enum Waited<T> {
     Ready(T),
     TimedOut,
@@ -171,22 +176,23 @@ const PATIENCE: Duration = Duration::from_secs(1);
 impl End {
     /// The end by `--timeout` or a signal. From now on, signals reach this end instead of killing the process.
     pub fn of(common: &CommonArgs) -> Outcome<Self> {
-        Self::after(common.timeout).map_err(no_signals)
+        Self::after(common.timeout)
     }
 
     /// Ends after this time, unless `--timeout` states another one.
     pub fn within(patience: Duration, common: &CommonArgs) -> Outcome<Self> {
-        Self::after(common.timeout.or(Some(patience))).map_err(no_signals)
+        Self::after(common.timeout.or(Some(patience)))
     }
 
     /// Ends after this time, or only by a signal.
     ///
     /// # Errors
     /// Signals cannot be caught.
-    pub fn after(timeout: Option<Duration>) -> io::Result<Self> {
+    pub fn after(timeout: Option<Duration>) -> Outcome<Self> {
         let interrupted = Arc::new(AtomicBool::new(false));
         for signal in tautline_rt::termination_signals() {
-            signal_hook::flag::register(signal, interrupted.clone())?;
+            signal_hook::flag::register(signal, interrupted.clone())
+                .map_err(|error| Failure::unusable(format!("signals cannot be caught: {error}")))?;
         }
         Ok(End {
             interrupted,
@@ -201,7 +207,7 @@ impl End {
     ///
     /// # Errors
     /// Signals cannot be caught.
-    pub fn at(deadline: Instant) -> io::Result<Self> {
+    pub fn at(deadline: Instant) -> Outcome<Self> {
         let left = deadline.saturating_duration_since(Instant::now());
         Ok(End { is_firm: true, ..Self::after(Some(left))? })
     }

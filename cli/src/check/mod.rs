@@ -77,8 +77,8 @@ pub fn run(args: &CheckArgs) -> Outcome<ExitCode> {
     let checked = admitted.as_ref().map_or_else(|| file.check(), |admitted| admitted.checked().clone());
     let is_good = admitted.as_ref().map_or(checked.schedulable, Admitted::is_admitted);
     if let Some(path) = &args.svg {
-        let refuse = |error| Failure::unusable(format!("`{}` cannot be written: {error}", path.display()));
-        crate::replace::write(path, gantt::draw(&checked)).map_err(refuse)?;
+        crate::replace::write(path, gantt::draw(&checked))
+            .map_err(|error| Failure::unwritable(path, &error))?;
     }
     match print(args, &file, &checked, admitted.as_ref()) {
         // A broken pipe is no error: the reader has ended (`taut check | head`).

@@ -124,9 +124,8 @@ pub fn run(args: &GraphArgs) -> Outcome {
     match &args.output {
         Some(path) => {
             // A file has no colours.
-            crate::replace::write(path, crate::print::painted(&written, false)).map_err(|error| {
-                Failure::unusable(format!("`{}` cannot be written: {error}", path.display()))
-            })
+            crate::replace::write(path, crate::print::painted(&written, false))
+                .map_err(|error| Failure::unwritable(path, &error))
         }
         None => {
             let mut out = crate::print::stdout();

@@ -3,8 +3,8 @@
 //!
 //! A recorder only appends to it, so that the file of a killed recorder can be read.
 
-use super::TraceError;
 use super::recording::{Entry, Recording, TimedEvent};
+use crate::verb::{Failure, Outcome};
 use std::io::{self, Write};
 use std::path::Path;
 use tautline_trace::{Description, Event, ObjectId, ObjectKind, Record};
@@ -60,9 +60,12 @@ impl<W: Write> Writer<W> {
 }
 
 /// Reads a recording. Unknown content is an error; an end in the middle of a block is a warning.
-pub fn read(path: &Path) -> Result<Recording, TraceError> {
-    let bytes = std::fs::read(path).map_err(|source| TraceError::Read { path: path.to_owned(), source })?;
-    parse(&bytes).map_err(|reason| TraceError::NoRecording { path: path.to_owned(), reason })
+pub fn read(path: &Path) -> Outcome<Recording> {
+    let bytes = std::fs::read(path).map_err(|error| Failure::unreadable(path, &error))?;
+    parse(&bytes).map_err(|reason| {
+        let path = path.display();
+        Failure::unusable(format!("`{path}` is not a recording: {reason}; `taut trace record` makes them"))
+    })
 }
 
 /// As [`read`], from memory.

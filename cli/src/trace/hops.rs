@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut trace hops`: the latency of each hop of the messages of several domains.
 
+use super::file;
 use super::latency::{histogram, us};
-use super::recording::Entry;
-use super::recording::Recording;
+use super::output::write_to;
+use super::recording::{Entry, Recording};
 use super::ways::{At, Hop, HopKind, Place, Ways};
-use super::{TraceError, file, write_to};
 use crate::table::write_table;
+use crate::verb::Outcome;
 use clap::Args;
 use hdrhistogram::Histogram;
 use serde_json::{Value, json};
@@ -60,7 +61,7 @@ struct Hops<'r> {
     unmatched: BTreeMap<(&'r str, HopKind, Place), u64>,
 }
 
-pub fn run(args: &HopsArgs, json: bool) -> Result<(), TraceError> {
+pub fn run(args: &HopsArgs, json: bool) -> Outcome {
     let recordings = args.files.iter().map(|path| file::read(path)).collect::<Result<Vec<_>, _>>()?;
     let hops = hops(&recordings);
     write_to(Path::new("-"), |to| {

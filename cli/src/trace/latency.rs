@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut trace latency`: from publication to callback, per callback.
 
+use super::file;
 use super::messages::{messages_lost, publications, runs};
+use super::output::write_to;
 use super::recording::Recording;
-use super::{TraceError, file, write_to};
 use crate::table::write_table;
+use crate::verb::Outcome;
 use clap::Args;
 use hdrhistogram::Histogram;
 use serde_json::{Value, json};
@@ -43,7 +45,7 @@ struct Row {
     messages_lost: Option<u64>,
 }
 
-pub fn run(args: &LatencyArgs, json: bool) -> Result<(), TraceError> {
+pub fn run(args: &LatencyArgs, json: bool) -> Outcome {
     let recording = file::read(&args.file)?;
     let rows = rows(&recording);
     write_to(Path::new("-"), |to| {

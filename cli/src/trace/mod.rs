@@ -7,14 +7,14 @@ pub mod file;
 mod hops;
 mod latency;
 pub mod messages;
+pub mod output;
 pub mod record;
 pub mod recording;
 mod ways;
 
-use crate::replace::NewFile;
-use crate::verb::{CommonArgs, Verbs};
+use crate::verb::{CommonArgs, Failure, Outcome, Verbs};
 use clap::{Args, Subcommand};
-use std::io::{self, Write};
+use output::write_to;
 use std::path::{Path, PathBuf};
 
 /// Records publications, takes, callbacks and the sampler of running processes; exports them; computes latencies.
@@ -64,44 +64,26 @@ pub enum Format {
     Csv,
 }
 
-/// Why nothing was recorded or exported.
-#[derive(Debug, thiserror::Error)]
-pub enum TraceError {
-    #[error("{0}")]
-    Record(#[from] tautline_transport::TransportError),
-    #[error(transparent)]
-    Domain(tautline::Error),
-    #[error("a recording contains its domain: --domain goes with `taut trace record`")]
-    DomainOfRecording,
-    #[error("`{}` cannot be read: {source}", path.display())]
-    Read { path: PathBuf, source: io::Error },
-    #[error("`{}` is not a recording: {reason}; `taut trace record` makes them", path.display())]
-    NoRecording { path: PathBuf, reason: String },
-    #[error("`{}` cannot be written: {source}; choose another place with -o", path.display())]
-    Write { path: PathBuf, source: io::Error },
-    #[error("the result cannot be printed: {0}")]
-    Print(io::Error),
-    #[error("no handler for Ctrl-C: {0}")]
-    Signal(io::Error),
-    #[error("the recorder cannot lower its priority: {0}")]
-    Priority(tautline_rt::RtError),
+/// The failure of verbs that read a recording.
+pub fn has_its_domain() -> Failure {
+    Failure::unusable("a recording contains its domain: --domain goes with `taut trace record`")
 }
 
-pub fn run(args: &Verbs<Verb>) -> Result<(), TraceError> {
+pub fn run(args: &Verbs<Verb>) -> Outcome {
     let common = &args.common;
     if !matches!(args.verb, Verb::Record(_)) {
         common.bound();
     }
     match &args.verb {
         Verb::Record(args) => record::run(args, common),
-        _ if common.is_domain_named() => Err(TraceError::DomainOfRecording),
+        _ if common.is_domain_named() => Err(has_its_domain()),
         Verb::Export(args) => export(args, common),
         Verb::Latency(args) => latency::run(args, common.json),
         Verb::Hops(args) => hops::run(args, common.json),
     }
 }
 
-fn export(args: &ExportArgs, common: &CommonArgs) -> Result<(), TraceError> {
+fn export(args: &ExportArgs, common: &CommonArgs) -> Outcome {
     let recording = file::read(&args.file)?;
     recording.warnings.iter().for_each(|warning| eprintln!("taut: warning: {warning}"));
     let out = args.out.clone().unwrap_or_else(|| {
@@ -120,20 +102,4 @@ fn export(args: &ExportArgs, common: &CommonArgs) -> Result<(), TraceError> {
         false => eprintln!("{file}: {events} events"),
     }
     Ok(())
-}
-
-/// Writes to standard output, or to a file that appears when it is complete.
-fn write_to(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<(), TraceError> {
-    if path == Path::new("-") {
-        let mut to = io::BufWriter::new(crate::print::stdout());
-        return match write(&mut to).and_then(|()| to.flush()) {
-            // The reader has closed the pipe.
-            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
-            result => result.map_err(TraceError::Print),
-        };
-    }
-    let refuse = |source| TraceError::Write { path: path.to_owned(), source };
-    let mut to = io::BufWriter::new(NewFile::create(path).map_err(refuse)?);
-    let written = write(&mut to).and_then(|()| to.flush());
-    written.and_then(|()| to.get_mut().finish()).map_err(refuse)
 }

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut trace record`.
 
-use super::TraceError;
 use super::file::Writer;
+use super::output::unwritable;
 use super::recording::Entry;
-use crate::verb::{CommonArgs, End, time};
+use crate::verb::{CommonArgs, End, Failure, Outcome, time};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
@@ -46,10 +46,10 @@ pub struct Sum {
     failed: Option<io::Error>,
 }
 
-pub fn run(args: &RecordArgs, common: &CommonArgs) -> Result<(), TraceError> {
-    let domain = common.domain().map_err(TraceError::Domain)?;
+pub fn run(args: &RecordArgs, common: &CommonArgs) -> Outcome {
+    let domain = common.domain()?;
     let time = [args.seconds, common.timeout()].into_iter().flatten().min();
-    let mut end = End::after(time).map_err(TraceError::Signal)?;
+    let mut end = End::after(time)?;
     let until = if end.timeout().is_none() { ", until Ctrl-C" } else { "" };
     let begun = format!("recording domain {domain} into {}{until}", args.out.display());
     let (sum, time) = record(&args.out, domain, &mut end, common.json, &begun)?;
@@ -67,10 +67,10 @@ pub fn record(
     end: &mut End,
     is_json: bool,
     begun: &str,
-) -> Result<(Sum, Duration), TraceError> {
+) -> Outcome<(Sum, Duration)> {
     lower_priority()?;
     let mut recorder = tautline_transport::start_recorder(domain)?;
-    let refuse = |source| TraceError::Write { path: path.to_owned(), source };
+    let refuse = |error: io::Error| unwritable(path, &error);
     let file = File::create(path).map_err(refuse)?;
     let mut writer = Writer::new(BufWriter::new(file)).map_err(refuse)?;
     writer.entry(&session(domain)).map_err(refuse)?;
@@ -149,11 +149,12 @@ pub fn progress(json: bool) -> ProgressBar {
 }
 
 /// Lowers this thread to nice 10, unless it is nicer already, or is a batch or idle thread.
-fn lower_priority() -> Result<(), TraceError> {
-    match rt::current_policy().map_err(TraceError::Priority)? {
+fn lower_priority() -> Outcome {
+    let lowered = rt::current_policy().and_then(|policy| match policy {
         Policy::Other { nice: 10.. } | Policy::Unmanaged(_) => Ok(()),
-        _ => rt::set_policy(Policy::Other { nice: 10 }).map_err(TraceError::Priority),
-    }
+        _ => rt::set_policy(Policy::Other { nice: 10 }),
+    });
+    lowered.map_err(|error| Failure::unusable(format!("the recorder cannot lower its priority: {error}")))
 }
 
 /// The first entry of a recording.
