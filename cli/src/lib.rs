@@ -112,7 +112,7 @@ pub fn run() -> ExitCode {
     let outcome = match Cli::parse().verb {
         Verb::Check(args) => check::run(&args),
         Verb::Init(args) => init::run(&args),
-        Verb::Report(args) => return report::run(&args),
+        Verb::Report(args) => report::run(&args),
         Verb::Apply(args) => apply::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Doctor(args) => doctor::run(&args),
         Verb::Demo(args) => demo::run(args),

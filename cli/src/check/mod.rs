@@ -115,22 +115,16 @@ fn print(
 
 /// Reads a system file, or prints its problems.
 pub fn read_file(path: &Path) -> Outcome<SystemFile> {
-    SystemFile::read(path).map_err(|error| {
-        print_file_error(&error);
-        Failure::unusable("")
-    })
+    SystemFile::read(path).map_err(|error| file_failure(&error))
 }
 
-/// Prints the problems as file:line:column, to which editors can jump.
-pub(crate) fn print_file_error(error: &FileError) {
-    if let FileError::Content { path, source } = error {
-        let count = source.0.len();
-        for problem in &source.0 {
-            eprintln!("{}:{}:{}: {}", path.display(), problem.line, problem.column, problem.message);
-        }
-        let plural = if count == 1 { "" } else { "s" };
-        eprintln!("taut: {} has {count} problem{plural}", path.display());
-    } else {
-        eprintln!("taut: {error}");
+/// The failure of a system file, whose problems are printed as file:line:column, to which editors can jump.
+pub fn file_failure(error: &FileError) -> Failure {
+    let FileError::Content { path, source } = error else { return Failure::unusable(error.to_string()) };
+    let (path, count) = (path.display(), source.0.len());
+    for problem in &source.0 {
+        eprintln!("{path}:{}:{}: {}", problem.line, problem.column, problem.message);
     }
+    let plural = if count == 1 { "" } else { "s" };
+    Failure::unusable(format!("{path} has {count} problem{plural}"))
 }

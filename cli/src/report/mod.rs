@@ -5,21 +5,22 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
-use crate::verb::{CommonArgs, End};
+use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::Args;
-use tautline_analysis::file::{CheckedSystem, FileError, SystemFile};
 
 mod explain;
 mod host;
 mod json;
 pub mod overheads;
 pub mod run;
+mod system;
 mod table;
 mod verdict;
 pub mod watch;
 mod wcet;
 
 use run::Run;
+use system::{System, read};
 use verdict::{Comparison, Verdict};
 use watch::ObservedProcesses;
 use wcet::{Change, Fits};
@@ -85,78 +86,14 @@ fn exceedance(text: &str) -> Result<f64, String> {
     probability.ok_or_else(|| format!("'{text}' is no number of 1e-12 to 0.01"))
 }
 
-#[derive(Debug, thiserror::Error)]
-pub enum ReportError {
-    #[error("`{}` cannot be read: {source}", path.display())]
-    Read { path: PathBuf, source: io::Error },
-    #[error(transparent)]
-    File(#[from] FileError),
-    #[error("`{}` is not a saved run: {reason}", path.display())]
-    Saved { path: PathBuf, reason: String },
-    #[error("`{}` is a saved run: it cannot be watched, and has no domain to choose", path.display())]
-    SavedLive { path: PathBuf },
-    #[error("--system goes with a saved run; for a running system, name the file alone: `taut report {}`", path.display())]
-    SystemTwice { path: PathBuf },
-    #[error(
-        "no process of domain {domain} shows statistics: start one whose context is built with `.system(\"system.toml\")`, or one \
-         of ROS's with TAUT_SYSTEM=system.toml, or name another domain with --domain or TAUT_DOMAIN{}", killed_before(*killed)
-    )]
-    Nothing { domain: u32, killed: usize },
-    #[error(
-        "the processes of domain {domain} were started with several system files ({files}): name one, as in `taut report {first}`"
-    )]
-    SeveralFiles { domain: u32, files: String, first: String },
-    #[error(
-        "no process of domain {domain} shows what its executor uses: start nodes of rclcpp or rclpy on rmw_tautline with TAUT_OVERHEADS=on, and \
-         let their callbacks run"
-    )]
-    NoOverheads { domain: u32 },
-    #[error(transparent)]
-    Domain(tautline::Error),
-    #[error("the statistics cannot be read: {0}")]
-    Statistics(io::Error),
-    #[error("`{}` cannot be written: {source}", path.display())]
-    Write { path: PathBuf, source: io::Error },
-    #[error("`{}` cannot be changed: {reason}", path.display())]
-    Unwritable { path: PathBuf, reason: String },
-    #[error("signals cannot be caught: {0}")]
-    Signal(io::Error),
-    #[error("the report cannot be printed: {0}")]
-    Print(#[from] io::Error),
-}
-
-fn killed_before(killed: usize) -> String {
-    match killed {
-        0 => String::new(),
-        _ => format!(" ({})", killed_text(killed)),
-    }
-}
-
-fn killed_text(killed: usize) -> String {
-    let (count, it) = if killed == 1 { ("one".into(), "it") } else { (killed.to_string(), "them") };
-    format!("{count} was killed or left without ending its context; what was left of {it} is removed")
-}
-
 /// Runs the verb; the exit code is the verdict.
-pub fn run(args: &ReportArgs) -> ExitCode {
-    match report(args) {
-        Ok(verdict) => ExitCode::from(verdict as u8),
-        // The reader has closed the pipe (`taut report | head`).
-        Err(ReportError::Print(error)) if error.kind() == io::ErrorKind::BrokenPipe => ExitCode::SUCCESS,
-        Err(ReportError::File(error)) => {
-            crate::check::print_file_error(&error);
-            ExitCode::from(2)
-        }
-        Err(error) => {
-            eprintln!("taut: {error}");
-            ExitCode::from(2)
-        }
-    }
+pub fn run(args: &ReportArgs) -> Outcome<ExitCode> {
+    Ok(ExitCode::from(report(args)? as u8))
 }
 
-fn report(args: &ReportArgs) -> Result<Verdict, ReportError> {
+fn report(args: &ReportArgs) -> Outcome<Verdict> {
     if args.overheads {
-        return overheads::report(args);
+        return overheads::report(&args.common);
     }
     if let Some(path) = &args.file {
         let text = read(path)?;
@@ -166,14 +103,18 @@ fn report(args: &ReportArgs) -> Result<Verdict, ReportError> {
         }
     }
     if let Some(path) = &args.system {
-        return Err(ReportError::SystemTwice { path: path.clone() });
+        return Err(Failure::unusable(format!(
+            "--system goes with a saved run; for a running system, name the file alone: `taut report {}`",
+            path.display()
+        )));
     }
     report_running(args)
 }
 
-fn report_saved(args: &ReportArgs, path: &Path, text: &str) -> Result<Verdict, ReportError> {
+fn report_saved(args: &ReportArgs, path: &Path, text: &str) -> Outcome<Verdict> {
     if args.watch || args.common.is_domain_named() {
-        return Err(ReportError::SavedLive { path: path.into() });
+        let text = "is a saved run: it cannot be watched, and has no domain to choose";
+        return Err(Failure::unusable(format!("`{}` {text}", path.display())));
     }
     let mut run = Run::parse(path, text)?;
     if let Some(system) = &args.system {
@@ -186,9 +127,8 @@ fn report_saved(args: &ReportArgs, path: &Path, text: &str) -> Result<Verdict, R
     Ok(print(args, &system, &run, false)?.verdict)
 }
 
-fn report_running(args: &ReportArgs) -> Result<Verdict, ReportError> {
-    let domain = args.common.domain().map_err(ReportError::Domain)?;
-    let end = End::after(args.common.timeout()).map_err(ReportError::Signal)?;
+fn report_running(args: &ReportArgs) -> Outcome<Verdict> {
+    let (domain, end) = (args.common.domain()?, End::of(&args.common)?);
     let mut processes = ObservedProcesses::new(domain);
     if args.watch {
         processes.wait_for_one(&end)?;
@@ -220,25 +160,6 @@ fn report_running(args: &ReportArgs) -> Result<Verdict, ReportError> {
     }
 }
 
-/// A system file and its analysis.
-struct System {
-    text: String,
-    file: SystemFile,
-    checked: CheckedSystem,
-}
-
-impl System {
-    fn parse(path: &Path, text: &str) -> Result<System, ReportError> {
-        let file =
-            SystemFile::parse(text).map_err(|source| FileError::Content { path: path.into(), source })?;
-        Ok(System { text: text.into(), checked: file.check(), file })
-    }
-}
-
-fn read(path: &Path) -> Result<String, ReportError> {
-    std::fs::read_to_string(path).map_err(|source| ReportError::Read { path: path.into(), source })
-}
-
 /// What a report says, and whether it still has a reader.
 struct Printed {
     verdict: Verdict,
@@ -253,7 +174,7 @@ fn is_read(written: io::Result<()>) -> io::Result<bool> {
     }
 }
 
-fn print(args: &ReportArgs, system: &System, run: &Run, in_place: bool) -> Result<Printed, ReportError> {
+fn print(args: &ReportArgs, system: &System, run: &Run, in_place: bool) -> Outcome<Printed> {
     let comparison = Comparison::new(&system.file, &system.checked, run);
     if args.wcet {
         return print_wcets(args, system, run, &comparison);
@@ -275,12 +196,7 @@ fn write(args: &ReportArgs, run: &Run, comparison: &Comparison, in_place: bool) 
     out.flush()
 }
 
-fn print_wcets(
-    args: &ReportArgs,
-    system: &System,
-    run: &Run,
-    comparison: &Comparison,
-) -> Result<Printed, ReportError> {
+fn print_wcets(args: &ReportArgs, system: &System, run: &Run, comparison: &Comparison) -> Outcome<Printed> {
     let fits = Fits::new(comparison, args.exceedance, run.taken_at_s);
     let change = if args.lower { Change::RaiseAndLower } else { Change::Raise };
     let changed = args.write.then(|| fits.put(system, &run.system_path, change)).transpose()?;

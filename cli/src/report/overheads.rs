@@ -6,9 +6,10 @@ use std::time::Duration;
 use serde_json::{Value, json};
 use tautline_executor::ExecutorSnapshot;
 
+use super::run::unread;
 use super::verdict::Verdict;
-use super::{ReportArgs, ReportError};
 use crate::table::{WARNING, wrap, write_table};
+use crate::verb::{CommonArgs, Failure, Outcome};
 
 /// The margin that is added to the longest measured time, in percent.
 const MARGIN: u64 = 20;
@@ -20,12 +21,11 @@ struct Measured {
 }
 
 /// What the processes of `domain` measure.
-fn measured(domain: u32) -> Result<Vec<Measured>, ReportError> {
-    let (processes, _) =
-        tautline_system::shared_statistics(domain).map_err(|error| ReportError::Domain(error.into()))?;
+fn measured(domain: u32) -> Outcome<Vec<Measured>> {
+    let (processes, _) = tautline_system::shared_statistics(domain)?;
     let mut found = Vec::new();
     for process in processes {
-        let Some(snapshot) = process.read().map_err(ReportError::Statistics)? else { continue };
+        let Some(snapshot) = process.read().map_err(unread)? else { continue };
         let label = tautline_system::label_of(&snapshot.process);
         let executors = snapshot.executors.into_iter().filter(|executor| executor.overhead.n() > 0);
         found.extend(executors.map(|executor| Measured { process: label.clone(), executor }));
@@ -34,7 +34,7 @@ fn measured(domain: u32) -> Result<Vec<Measured>, ReportError> {
 }
 
 /// The lines of `[overheads]` that the processes of `domain` measure, each with where its value comes from.
-pub fn measured_lines(domain: u32) -> Result<Vec<(String, String)>, ReportError> {
+pub fn measured_lines(domain: u32) -> Outcome<Vec<(String, String)>> {
     let line = |(library, value, longest): (&str, String, &ExecutorSnapshot)| {
         (format!("{library} = \"{value}\""), source(longest))
     };
@@ -42,14 +42,17 @@ pub fn measured_lines(domain: u32) -> Result<Vec<(String, String)>, ReportError>
 }
 
 /// Prints what was measured, and the lines for the system file.
-pub fn report(args: &ReportArgs) -> Result<Verdict, ReportError> {
-    let domain = args.common.domain().map_err(ReportError::Domain)?;
+pub fn report(common: &CommonArgs) -> Outcome<Verdict> {
+    let domain = common.domain()?;
     let found = measured(domain)?;
     if found.is_empty() {
-        return Err(ReportError::NoOverheads { domain });
+        return Err(Failure::unusable(format!(
+            "no process of domain {domain} shows what its executor uses: start nodes of rclcpp or rclpy on rmw_tautline with \
+             TAUT_OVERHEADS=on, and let their callbacks run"
+        )));
     }
     let mut out = crate::print::stdout();
-    if args.common.json {
+    if common.json {
         let rows: Vec<Value> = found.iter().map(Measured::to_json).collect();
         let overheads: serde_json::Map<_, _> =
             lines(&found).map(|(library, value, _)| (library.to_owned(), value.into())).collect();

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A run: the system file and the statistics of callbacks, read from shared memory or from a saved file.
-use std::io::Write;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -8,9 +8,9 @@ use serde::{Deserialize, Serialize};
 use tautline::{Bucket, HistogramSnapshot, Policy};
 use tautline_executor::{Admitted, CallbackSnapshot, ForeignStatistics, ProcessSnapshot};
 
-use super::ReportError;
 use crate::moment::Moment;
 use crate::replace::NewFile;
+use crate::verb::{Failure, Outcome};
 
 /// The first member of a saved run. The number changes when older programs would misread the file.
 const FORMAT: &str = "tautline run 1";
@@ -142,7 +142,7 @@ impl Run {
         system_path: &Path,
         system: &str,
         processes: &[ForeignStatistics],
-    ) -> Result<Run, ReportError> {
+    ) -> Outcome<Run> {
         let now = SystemTime::UNIX_EPOCH.elapsed().unwrap_or_default();
         let mut gathered = Vec::new();
         for process in processes {
@@ -150,7 +150,7 @@ impl Run {
             let running = process.is_running();
             // Also read before the statistics: a running job has run at least until this time.
             let now_ns = running.then(tautline_rt::clock::monotonic_ns);
-            if let Some(snapshot) = process.read().map_err(ReportError::Statistics)? {
+            if let Some(snapshot) = process.read().map_err(unread)? {
                 gathered.push(Process { path: process.path().into(), ..Process::new(&snapshot, now_ns) });
             }
         }
@@ -189,8 +189,10 @@ impl Run {
     }
 
     /// Reads a saved run from its text.
-    pub fn parse(path: &Path, text: &str) -> Result<Run, ReportError> {
-        let refuse = |reason: String| ReportError::Saved { path: path.into(), reason };
+    pub fn parse(path: &Path, text: &str) -> Outcome<Run> {
+        let refuse = |reason: String| {
+            Failure::unusable(format!("`{}` is not a saved run: {reason}", path.display()))
+        };
         let run: Run = serde_json::from_str(text).map_err(|error| refuse(error.to_string()))?;
         if run.format != FORMAT {
             return Err(refuse(format!("its format is `{}`, not `{FORMAT}`", run.format)));
@@ -199,12 +201,17 @@ impl Run {
     }
 
     /// Writes the run to a file, which appears only when it is complete.
-    pub fn save(&self, path: &Path) -> Result<(), ReportError> {
-        let refuse = |source| ReportError::Write { path: path.into(), source };
+    pub fn save(&self, path: &Path) -> Outcome {
+        let refuse = |error: io::Error| Failure::unwritable(path, &error);
         let text = serde_json::to_string(self).map_err(|error| refuse(error.into()))?;
         let mut file = NewFile::create(path).map_err(refuse)?;
         file.write_all((text + "\n").as_bytes()).and_then(|()| file.finish()).map_err(refuse)
     }
+}
+
+/// The failure to read the statistics of a process.
+pub fn unread(error: io::Error) -> Failure {
+    Failure::unusable(format!("the statistics cannot be read: {error}"))
 }
 
 /// The maximum number of moments per callback; reading more each second would take long.

@@ -6,9 +6,8 @@ use std::time::Duration;
 
 use tautline_executor::ForeignStatistics;
 
-use super::run::Run;
-use super::{ReportError, killed_text};
-use crate::verb::End;
+use super::run::{Run, unread};
+use crate::verb::{End, Failure, Outcome};
 
 /// Keeps files open, so that a process's statistics can be read after its end.
 pub struct ObservedProcesses {
@@ -28,16 +27,15 @@ impl ObservedProcesses {
     }
 
     /// Adds new processes.
-    pub fn refresh(&mut self) -> Result<(), ReportError> {
-        let (found, killed) = tautline_system::shared_statistics(self.domain)
-            .map_err(|error| ReportError::Domain(error.into()))?;
+    pub fn refresh(&mut self) -> Outcome {
+        let (found, killed) = tautline_system::shared_statistics(self.domain)?;
         self.killed += killed;
         for process in found {
             let is_known = self.processes.iter().any(|known| known.path() == process.path());
             if is_known || self.others.contains(process.path()) {
                 continue;
             }
-            match process.read().map_err(ReportError::Statistics)? {
+            match process.read().map_err(unread)? {
                 // A process that is just starting has no statistics yet; it is checked again.
                 None => {}
                 Some(snapshot) if snapshot.process.system_path.as_os_str().is_empty() => {
@@ -50,7 +48,7 @@ impl ObservedProcesses {
     }
 
     /// Waits until there is a process.
-    pub fn wait_for_one(&mut self, end: &End) -> Result<(), ReportError> {
+    pub fn wait_for_one(&mut self, end: &End) -> Outcome {
         self.refresh()?;
         while self.processes.is_empty() && !end.is_reached() {
             end.print_waiting_once(|| format!("a process with a system file in domain {}", self.domain));
@@ -65,10 +63,10 @@ impl ObservedProcesses {
     }
 
     /// The file that all processes were started with.
-    pub fn system_path(&self) -> Result<PathBuf, ReportError> {
+    pub fn system_path(&self) -> Outcome<PathBuf> {
         let mut paths = BTreeSet::new();
         for process in &self.processes {
-            if let Some(snapshot) = process.read().map_err(ReportError::Statistics)? {
+            if let Some(snapshot) = process.read().map_err(unread)? {
                 paths.insert(snapshot.process.system_path);
             }
         }
@@ -78,15 +76,18 @@ impl ObservedProcesses {
             (Some(first), Some(_)) => {
                 let files =
                     paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ");
-                let first = first.display().to_string();
-                Err(ReportError::SeveralFiles { domain: self.domain, files, first })
+                Err(Failure::unusable(format!(
+                    "the processes of domain {} were started with several system files ({files}): name one, as in `taut report {}`",
+                    self.domain,
+                    first.display()
+                )))
             }
             _ => Err(self.nothing()),
         }
     }
 
     /// The run up to now.
-    pub fn gather(&mut self, path: &Path, system: &str) -> Result<Run, ReportError> {
+    pub fn gather(&mut self, path: &Path, system: &str) -> Outcome<Run> {
         let run = Run::gather(self.domain, path, system, &self.processes)?;
         if run.processes.is_empty() {
             return Err(self.nothing());
@@ -106,7 +107,20 @@ impl ObservedProcesses {
         }
     }
 
-    fn nothing(&self) -> ReportError {
-        ReportError::Nothing { domain: self.domain, killed: self.killed }
+    fn nothing(&self) -> Failure {
+        let killed = match self.killed {
+            0 => String::new(),
+            killed => format!(" ({})", killed_text(killed)),
+        };
+        Failure::unusable(format!(
+            "no process of domain {} shows statistics: start one whose context is built with `.system(\"system.toml\")`, or one of ROS's \
+             with TAUT_SYSTEM=system.toml, or name another domain with --domain or TAUT_DOMAIN{killed}",
+            self.domain
+        ))
     }
+}
+
+fn killed_text(killed: usize) -> String {
+    let (count, it) = if killed == 1 { ("one".into(), "it") } else { (killed.to_string(), "them") };
+    format!("{count} was killed or left without ending its context; what was left of {it} is removed")
 }

@@ -6,18 +6,18 @@ mod sizes;
 mod tail;
 
 use super::explain::{INPUT_TOO_LARGE, Mark, WCET_EXCEEDED, quoted};
+use super::system::{System, read};
 use super::verdict::{Comparison, Measured, NOTHING, Row};
-use super::{ReportError, System, read};
 use crate::date::date;
 use crate::table::{BAD, GOOD, ms, wrap, write_table};
+use crate::verb::{Failure, Outcome};
 use serde_json::{Value, json};
 use sizes::{Class, Line};
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::path::Path;
-use tail::{NoTail, Tail, tail};
+use tail::{NoTail, Tail, tail, words};
 use tautline::Bucket;
-use tautline_analysis::file::{FileError, SystemFile};
 
 /// The measurement of a callback, and its consequences.
 struct Fit<'r> {
@@ -158,17 +158,14 @@ impl<'r> Fits<'r> {
     ///
     /// # Errors
     /// The file differs from `system`, it cannot be read or written, or the new text is not a valid system file.
-    pub fn put(
-        &self,
-        system: &System,
-        path: &Path,
-        change: Change,
-    ) -> Result<(Vec<String>, bool), ReportError> {
+    pub fn put(&self, system: &System, path: &Path, change: Change) -> Outcome<(Vec<String>, bool)> {
         let changed: Vec<_> = self.fits.iter().filter(|fit| fit.is_changed(change)).collect();
         if changed.is_empty() {
             return Ok((Vec::new(), system.checked.schedulable));
         }
-        let refuse = |reason| ReportError::Unwritable { path: path.into(), reason };
+        let refuse = |reason: String| {
+            Failure::unusable(format!("`{}` cannot be changed: {reason}", path.display()))
+        };
         let mut text = read(path)?;
         if text != system.text {
             let reason = "it is no longer the file of this run: name the one to change with --system";
@@ -177,14 +174,12 @@ impl<'r> Fits<'r> {
         for fit in &changed {
             text = edit::with(&text, fit.name(), &quoted(fit.wcet_ns), &self.source(fit)).map_err(refuse)?;
         }
-        let anew =
-            SystemFile::parse(&text).map_err(|source| FileError::Content { path: path.into(), source })?;
-        crate::replace::replace(path, &text)
-            .map_err(|source| ReportError::Write { path: path.into(), source })?;
+        let anew = System::parse(path, &text)?;
+        crate::replace::replace(path, &text).map_err(|error| Failure::unwritable(path, &error))?;
         let words = |fit: &&Fit<'_>| {
             format!("{}: wcet {} -> {}", fit.name(), quoted(fit.row.predicted.wcet_ns), quoted(fit.wcet_ns))
         };
-        Ok((changed.iter().map(words).collect(), anew.check().schedulable))
+        Ok((changed.iter().map(words).collect(), anew.checked.schedulable))
     }
 
     fn source(&self, fit: &Fit<'_>) -> String {
@@ -288,19 +283,5 @@ impl<'r> Fit<'r> {
         };
         self.wcet_ns > stated_ns
             || change == Change::RaiseAndLower && self.wcet_ns < stated_ns && is_estimated
-    }
-}
-
-fn words(none: NoTail) -> String {
-    match none {
-        NoTail::TooFewJobs(needed) => format!("because that takes {needed} jobs"),
-        NoTail::AllAlike => "because nearly all jobs took the same time: use their maximum".to_owned(),
-        NoTail::TooHeavy => {
-            "because long jobs are too frequent: find what makes them long, such as interrupts, page faults or a second kind of input"
-                .to_owned()
-        }
-        NoTail::NoFit => {
-            "because long jobs are of several kinds, which do not predict longer ones: measure each kind separately".to_owned()
-        }
     }
 }

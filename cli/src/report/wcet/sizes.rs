@@ -2,7 +2,7 @@
 //! Execution times by the size of the input, and a line that bounds them.
 
 use super::super::run::SizeClass;
-use super::tail::{NoTail, Tail, tail_of_longest};
+use super::tail::{NoTail, Tail, tail_of_longest, words};
 use crate::table::{ms, write_table};
 use serde_json::{Value, json};
 use std::fmt;
@@ -45,7 +45,7 @@ impl<'r> Class<'r> {
             "least": seen.least, "greatest": seen.greatest, "jobs": seen.jobs, "max_ms": ms(seen.max_ns as f64),
             "estimate_ms": self.tail.ok().map(|tail| ms(tail.estimate_ns)),
             "upper_ms": self.tail.ok().map(|tail| ms(tail.upper_ns)),
-            "no_estimate": self.tail.err().map(super::words),
+            "no_estimate": self.tail.err().map(words),
         })
     }
 }

@@ -46,6 +46,21 @@ pub enum NoTail {
     NoFit,
 }
 
+/// The reason in words.
+pub fn words(none: NoTail) -> String {
+    match none {
+        NoTail::TooFewJobs(needed) => format!("because that takes {needed} jobs"),
+        NoTail::AllAlike => "because nearly all jobs took the same time: use their maximum".to_owned(),
+        NoTail::TooHeavy => {
+            "because long jobs are too frequent: find what makes them long, such as interrupts, page faults or a second kind of input"
+                .to_owned()
+        }
+        NoTail::NoFit => {
+            "because long jobs are of several kinds, which do not predict longer ones: measure each kind separately".to_owned()
+        }
+    }
+}
+
 /// A generalized Pareto distribution of the excesses over a threshold, with Hosking's sign of `k`: the shape is `-k`.
 #[derive(Clone, Copy)]
 struct Pareto {
