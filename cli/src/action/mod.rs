@@ -4,14 +4,13 @@
 mod send_goal;
 
 use crate::arguments::full_name;
-use crate::call::action_of;
 use crate::completions;
-use crate::service::{Named, named};
+use crate::service::{Named, actions};
 use crate::verb::{Failure, Outcome, Verbs};
 use clap::Subcommand;
 use serde_json::Value;
 use std::io::{self, Write};
-use tautline_transport::{GraphSnapshot, ServiceKind, graph_of};
+use tautline_transport::{ServiceKind, graph_of};
 
 /// Lists actions and their nodes, and sends goals.
 ///
@@ -62,10 +61,6 @@ pub fn run(args: &Verbs<Verb>) -> Outcome {
     }
     let head = ["action", "type", "where", "servers", "clients"];
     Ok(crate::table::write_table(&head, 3, actions.iter().map(Named::row).collect(), &mut out)?)
-}
-
-fn actions(graph: &GraphSnapshot) -> Vec<Named<'_>> {
-    named(graph, |end| action_of(&end.name, &end.type_name))
 }
 
 fn print(action: &Named, out: &mut impl Write) -> io::Result<()> {

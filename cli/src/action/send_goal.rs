@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut action send_goal`: sends a goal, prints its feedback and result, and cancels it on an interruption.
 
-use crate::arguments::full_name;
-use crate::arguments::{WrittenMessage, type_and_values};
+use crate::arguments::{WrittenMessage, full_name, type_and_values};
 use crate::call::{Caller, poll_future};
 use crate::completions;
-use crate::service::type_to_call;
+use crate::service::{actions, type_to_call};
 use crate::verb::{CommonArgs, End, Failure, Outcome, Waited};
 use clap::Args;
 use futures::channel::oneshot;
@@ -51,7 +50,7 @@ pub fn run(args: &SendGoalArgs, common: &CommonArgs) -> Outcome {
     let (end, domain, action) = (End::of(common)?, common.domain()?, full_name(&args.action));
     let (type_name, values) = type_and_values(&args.goal, "action");
     let graph = graph_of(domain)?;
-    let type_name = type_to_call("action", &action, &super::actions(&graph), type_name)?;
+    let type_name = type_to_call("action", &action, &actions(&graph), type_name)?;
     let parts = Parts(&graph, &action, &type_name);
     let goal = parts.of("Goal", "SendGoal", parts.service("send_goal"))?;
     let goal = WrittenMessage::new(&goal, values)?.message;

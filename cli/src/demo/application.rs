@@ -12,7 +12,7 @@ use tautline_analysis::file::{CheckedCallback, SystemFile};
 use tautline_rt::clock::thread_cpu_ns;
 use tautline_rt::{current_affinity, set_affinity};
 
-use super::{DemoArgs, unusable_core};
+use super::args::{DemoArgs, unusable_core};
 use crate::moment::Moment;
 use crate::verb::{Failure, Outcome};
 

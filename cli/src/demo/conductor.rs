@@ -2,12 +2,12 @@
 //! The process that the user started: starts the two others, shows the progress, prints the report.
 
 use super::application;
+use super::args::{DemoArgs, Role, unusable_core};
 use super::losses::losses;
 use super::output::Files;
 use super::process::{GLANCE, Process};
 use super::protocol::{self, Job, Line, Measured, Published};
 use super::report::{self, Costs, DemoReport, TopicRun};
-use super::{DemoArgs, Role, unusable_core};
 use crate::verb::{Failure, Outcome};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::process::ExitCode;

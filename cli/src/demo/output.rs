@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Where the report goes: the terminal, a picture, JSON.
 
+use super::args::DemoArgs;
 use super::report::{self, DemoReport};
-use super::{DemoArgs, plot};
+use super::{plot, text};
 use crate::replace::NewFile;
 use crate::verb::{Failure, Outcome};
 use std::io::{self, Write};
@@ -40,7 +41,7 @@ impl Files {
         }
         // After the files, which a closed terminal must not prevent.
         let mut out = crate::print::stdout();
-        report::write_text(report, verbose, &mut out)?;
+        text::write_text(report, verbose, &mut out)?;
         let more = if verbose { "" } else { "; --verbose prints more" };
         Ok(writeln!(out, "{written}{more}")?)
     }

@@ -10,7 +10,7 @@ mod bins;
 pub mod canvas;
 
 use bins::Bins;
-use canvas::{Canvas, bold, text};
+use canvas::{Canvas, DEADLINE, bold, text};
 
 const WIDTH: i32 = 960;
 const LEFT: i32 = 76;
@@ -32,8 +32,6 @@ pub const FAINT: RGBColor = RGBColor(102, 110, 122);
 pub const GRID: RGBColor = RGBColor(226, 230, 235);
 const ON_TIME: RGBColor = RGBColor(76, 132, 196);
 const LATE: RGBColor = RGBColor(226, 102, 82);
-const DEADLINE: RGBColor = RGBColor(204, 32, 38);
-const PERCENTILE: RGBColor = RGBColor(214, 134, 0);
 
 /// Draws the report as a self-contained SVG document.
 ///

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A child process of the demo, from the view of the process that started it.
 
+use super::args::{DemoArgs, Role};
 use super::protocol::{self, Line, Measured};
-use super::{DemoArgs, Role};
 use crate::verb::{Failure, Outcome};
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The publisher process: a sampler that serves five absolute timers, a worker thread that publishes.
 
-use super::DemoArgs;
 use super::application::{self, MomentCollector, Stamped};
+use super::args::DemoArgs;
 use super::protocol::{self, Line, Published};
 use crate::verb::Outcome;
 use futures::StreamExt;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The report of a demo run: the data and its JSON here, the printed text in `text` and `details`.
+//! The report of a demo run: the data and its JSON. The printed text is in `text` and `details`.
 
 use std::io::{self, Write};
 use std::time::Duration;
@@ -10,11 +10,6 @@ use tautline_analysis::{Overheads, Task};
 use tautline_rt::Interruptions;
 
 use crate::moment::ACCOUNTED_TO_NS;
-
-mod details;
-mod text;
-
-pub use text::write_text;
 
 /// One run of the demo. The fields up to `topics` are a contract with scripts: names, order and units stay.
 #[derive(Debug, Clone, Serialize)]
@@ -233,18 +228,18 @@ pub fn write_json(report: &DemoReport, out: &mut impl Write) -> io::Result<()> {
 
 impl DemoReport {
     /// The texts of the topics that have one, separated by commas.
-    fn list(&self, text: impl Fn(&TopicReport) -> Option<String>) -> String {
+    pub fn list(&self, text: impl Fn(&TopicReport) -> Option<String>) -> String {
         self.topics.iter().filter_map(text).collect::<Vec<_>>().join(", ")
     }
 }
 
 impl TopicReport {
-    fn failed(&self) -> bool {
+    pub fn failed(&self) -> bool {
         self.n == 0 || self.deadline_misses > 0 || self.lost > 0
     }
 
     /// The longest response as a share of its bound, which includes the time that others took; `None` without a bound.
-    fn share_of_bound(&self) -> Option<f64> {
+    pub fn share_of_bound(&self) -> Option<f64> {
         let (longest_ms, bound_ms) = match self.worst {
             Some(worst) => (worst.response_ms, worst.allowed_ms? + ms(ACCOUNTED_TO_NS)),
             None => (self.max_ms?, self.rta_overhead_ms?),
@@ -253,7 +248,7 @@ impl TopicReport {
     }
 
     /// A text about the responses above the prediction, if any, and about the threads that had the core during the worst of them.
-    fn beyond_prediction(&self) -> Option<String> {
+    pub fn beyond_prediction(&self) -> Option<String> {
         let (worst, predicted) = (self.worst?, self.rta_overhead_ms?);
         let count = if self.unexplained > 0 { self.unexplained } else { self.beyond };
         let times = if count == 1 { "once".to_owned() } else { format!("{count} times") };

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The subscriber process: the sampler on the main thread, one callback thread per topic.
 
-use super::DemoArgs;
 use super::application::{self, MomentCollector, Stamped};
+use super::args::DemoArgs;
 use super::protocol::{self, Job, Line, Measured, TopicMeasured};
 use crate::verb::Outcome;
 use futures::StreamExt;

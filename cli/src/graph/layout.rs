@@ -6,29 +6,12 @@
 
 mod part;
 
+pub use part::{Link, Point, Size};
+
 use part::Part;
 use std::collections::BTreeMap;
 
 const PART_GAP: f64 = 36.0;
-
-pub type Point = (f64, f64);
-
-/// A box with its least size.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Size {
-    pub width: f64,
-    pub height: f64,
-}
-
-/// From one box to another one.
-#[derive(Clone, Copy, Debug)]
-pub struct Link {
-    pub from: usize,
-    pub to: usize,
-    /// The cost if this link goes from right to left; of several candidates, the link with the least cost does.
-    pub weight: i64,
-    pub label: Option<Size>,
-}
 
 /// The positions of everything; the upper left corner is (0, 0).
 #[derive(Debug, Default)]
@@ -107,38 +90,4 @@ fn connected(n: usize, links: &[Link]) -> Vec<(Vec<usize>, Vec<usize>)> {
         parts.entry(root(&mut of, link.from)).or_default().1.push(index);
     }
     parts.into_values().collect()
-}
-
-/// An order in which few links go back: sources first, sinks last, the others by outgoing less incoming links (Eades, Lin and Smyth).
-fn order(n: usize, links: &[Link]) -> Vec<usize> {
-    let (mut gives, mut takes) = (vec![0_i64; n], vec![0_i64; n]);
-    let mut beside: Vec<Vec<(usize, bool, i64)>> = vec![Vec::new(); n];
-    for link in links {
-        gives[link.from] += link.weight;
-        takes[link.to] += link.weight;
-        beside[link.from].push((link.to, true, link.weight));
-        beside[link.to].push((link.from, false, link.weight));
-    }
-    let (mut order, mut first, mut last) = (vec![usize::MAX; n], 0, n);
-    while first < last {
-        let left = (0..n).filter(|&index| order[index] == usize::MAX);
-        let rank = |&index: &usize| match (takes[index], gives[index]) {
-            (0, _) => (2, 0),
-            (_, 0) => (1, 0),
-            (takes, gives) => (0, gives - takes),
-        };
-        // Reversed, because `max_by_key` returns the last of equal boxes.
-        let Some(next) = left.rev().max_by_key(rank) else { break };
-        if takes[next] > 0 && gives[next] == 0 {
-            last -= 1;
-            order[next] = last;
-        } else {
-            order[next] = first;
-            first += 1;
-        }
-        for &(other, is_to, weight) in &beside[next] {
-            if is_to { takes[other] -= weight } else { gives[other] -= weight }
-        }
-    }
-    order
 }

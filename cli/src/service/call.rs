@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut service call`: sends a request and prints the response.
 
-use super::named::type_to_call;
-use crate::arguments::full_name;
-use crate::arguments::{WrittenMessage, type_and_values};
+use super::named::{services, type_to_call};
+use crate::arguments::{WrittenMessage, full_name, type_and_values};
 use crate::call::Caller;
 use crate::completions;
 use crate::verb::{CommonArgs, End, Failure, Outcome};
@@ -36,7 +35,7 @@ pub fn run(args: &CallArgs, common: &CommonArgs) -> Outcome {
     let (end, domain, service) = (End::of(common)?, common.domain()?, full_name(&args.service));
     let (type_name, values) = type_and_values(&args.request, "srv");
     let graph = graph_of(domain)?;
-    let type_name = type_to_call("service", &service, &super::services(&graph), type_name)?;
+    let type_name = type_to_call("service", &service, &services(&graph), type_name)?;
     let mut caller = Caller::new(domain, end)?;
     let client = caller.node.create_client_untyped(&service, &type_name)?;
     let (request, response) = client.definitions();

@@ -4,16 +4,16 @@
 mod call;
 mod named;
 
-use crate::arguments::full_name;
-use crate::arguments::full_type;
+use crate::arguments::{full_name, full_type};
 use crate::completions;
 use crate::table::{write_table, write_wanted};
 use crate::verb::{Outcome, Verbs};
 use clap::Subcommand;
-pub use named::{Named, named, type_to_call};
+use named::services;
+pub use named::{Named, actions, type_to_call};
 use serde_json::Value;
 use std::io::Write;
-use tautline_transport::{GraphSnapshot, graph_of};
+use tautline_transport::graph_of;
 
 /// Lists and calls services.
 ///
@@ -75,8 +75,4 @@ pub fn run(args: &Verbs<Verb>) -> Outcome {
         Verb::Call(_) => {}
     }
     Ok(())
-}
-
-fn services(graph: &GraphSnapshot) -> Vec<Named<'_>> {
-    named(graph, |end| Some((&end.name, &end.type_name)))
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Services, and the actions that consist of them, by name and type.
 
+use crate::call::action_of;
 use crate::verb::{Failure, Outcome};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -13,8 +14,18 @@ pub struct Named<'g> {
     ends: Vec<&'g ServiceEndpoint>,
 }
 
+/// The services of a domain.
+pub fn services(graph: &GraphSnapshot) -> Vec<Named<'_>> {
+    named(graph, |end| Some((&end.name, &end.type_name)))
+}
+
+/// The actions of a domain.
+pub fn actions(graph: &GraphSnapshot) -> Vec<Named<'_>> {
+    named(graph, |end| action_of(&end.name, &end.type_name))
+}
+
 /// Groups endpoints by name and type.
-pub fn named<'g>(
+fn named<'g>(
     graph: &'g GraphSnapshot,
     name_and_type: impl Fn(&'g ServiceEndpoint) -> Option<(&'g str, &'g str)>,
 ) -> Vec<Named<'g>> {

@@ -4,8 +4,10 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::{DEADLINE, PERCENTILE};
 use crate::verb::{Failure, Outcome};
+
+pub const DEADLINE: RGBColor = RGBColor(204, 32, 38);
+const PERCENTILE: RGBColor = RGBColor(214, 134, 0);
 
 /// The drawing area in pixels, with the few shapes the picture is made of.
 pub struct Canvas<'a>(DrawingArea<SVGBackend<'a>, Shift>);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 use super::*;
+use crate::demo::text::write_text;
 use tautline_analysis::taken::{Seen, Taken};
 
 /// The five topics, with latencies as given by `latencies_ms`.

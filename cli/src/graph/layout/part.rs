@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! One connected part of a layout.
 
-use super::{Link, Point, Size, order};
-
 /// The distance between columns, and between the boxes of a column.
 const COLUMN_GAP: f64 = 64.0;
 const BOX_GAP: f64 = 18.0;
@@ -13,6 +11,25 @@ const PORT_GAP: f64 = 9.0;
 const MOST_PLACES: usize = 6_000;
 const SWEEPS: usize = 16;
 const ROUNDS: usize = 12;
+
+pub type Point = (f64, f64);
+
+/// A box with its least size.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Size {
+    pub width: f64,
+    pub height: f64,
+}
+
+/// From one box to another one.
+#[derive(Clone, Copy, Debug)]
+pub struct Link {
+    pub from: usize,
+    pub to: usize,
+    /// The cost if this link goes from right to left; of several candidates, the link with the least cost does.
+    pub weight: i64,
+    pub label: Option<Size>,
+}
 
 /// A box, a text, or a place through which a line passes.
 #[derive(Clone, Default)]
@@ -292,4 +309,38 @@ impl Part {
         }
         points
     }
+}
+
+/// An order in which few links go back: sources first, sinks last, the others by outgoing less incoming links (Eades, Lin and Smyth).
+fn order(n: usize, links: &[Link]) -> Vec<usize> {
+    let (mut gives, mut takes) = (vec![0_i64; n], vec![0_i64; n]);
+    let mut beside: Vec<Vec<(usize, bool, i64)>> = vec![Vec::new(); n];
+    for link in links {
+        gives[link.from] += link.weight;
+        takes[link.to] += link.weight;
+        beside[link.from].push((link.to, true, link.weight));
+        beside[link.to].push((link.from, false, link.weight));
+    }
+    let (mut order, mut first, mut last) = (vec![usize::MAX; n], 0, n);
+    while first < last {
+        let left = (0..n).filter(|&index| order[index] == usize::MAX);
+        let rank = |&index: &usize| match (takes[index], gives[index]) {
+            (0, _) => (2, 0),
+            (_, 0) => (1, 0),
+            (takes, gives) => (0, gives - takes),
+        };
+        // Reversed, because `max_by_key` returns the last of equal boxes.
+        let Some(next) = left.rev().max_by_key(rank) else { break };
+        if takes[next] > 0 && gives[next] == 0 {
+            last -= 1;
+            order[next] = last;
+        } else {
+            order[next] = first;
+            first += 1;
+        }
+        for &(other, is_to, weight) in &beside[next] {
+            if is_to { takes[other] -= weight } else { gives[other] -= weight }
+        }
+    }
+    order
 }

@@ -4,7 +4,7 @@
 use std::io::{self, Write};
 
 use super::details;
-use super::{DemoReport, TopicReport};
+use super::report::{DemoReport, TopicReport};
 use crate::table::{BAD, GOOD, wrap, write_spaced_table};
 
 /// The suggestion after a run without a fault.

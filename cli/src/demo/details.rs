@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The part of the report that `--verbose` adds: each excess, the circumstances of the run, and the explanation of anything unusual.
 
-use super::DemoReport;
+use super::report::DemoReport;
 
 /// The kernel needs some microseconds per job to switch between threads: a fifth of a millisecond for forty jobs.
 const SWITCHES_MS: f64 = 0.5;
