@@ -18,6 +18,9 @@ use tautline_transport::{GraphSnapshot, NodeInfo, ServiceKind, graph_of};
 /// The time limit for the answer of a node.
 pub const PATIENCE: Duration = Duration::from_secs(5);
 
+/// The node of a container without a given name.
+pub const MANAGER: &str = "/ComponentManager";
+
 /// The response, or why there is none.
 pub type Response<T> = Result<<T as Service>::Response, Error>;
 

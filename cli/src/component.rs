@@ -2,7 +2,7 @@
 //! `taut component`: nodes in shared libraries, in a container that runs them in one process.
 
 use crate::arguments::full_name;
-use crate::call::Caller;
+use crate::call::{Caller, MANAGER};
 use crate::completions;
 use crate::log::{LEVELS, severity};
 use crate::sibling::Sibling;
@@ -25,8 +25,6 @@ const CONTAINER: Sibling = Sibling {
             `cargo build --release -p taut -p tautline-container -p YOUR_COMPONENTS`",
 };
 
-/// The node of a container without a given name.
-pub const MANAGER: &str = "/ComponentManager";
 /// The time limit for loading: creating a component may open topics and start threads.
 const PATIENCE: Duration = Duration::from_secs(10);
 

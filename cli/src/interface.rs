@@ -2,7 +2,8 @@
 //! `taut interface`: lists types, and prints their definitions as ROS 2's tools do.
 
 use crate::completions;
-use crate::msg::{Finder, parts};
+use crate::find::Finder;
+use crate::msg::parts;
 use crate::table::{write_names, write_wanted};
 use crate::verb::{CommonArgs, Failure, Outcome};
 use clap::builder::{PossibleValuesParser, TypedValueParser};

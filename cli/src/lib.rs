@@ -21,6 +21,7 @@ mod component;
 pub mod date;
 pub mod demo;
 mod doctor;
+mod find;
 mod graph;
 mod init;
 mod interface;

@@ -4,11 +4,11 @@
 //! Each completion is fast: names are read from shared memory, or requested from a node with a time limit. Late answers and errors
 //! yield no candidates.
 
-use super::{ASKED, Asked, paths};
+use super::asked::{ASKED, Asked};
+use super::paths;
 use crate::arguments::full_name;
-use crate::call::{Caller, action_of, node_serving, nodes_serving};
-use crate::component::MANAGER;
-use crate::msg::Finder;
+use crate::call::{Caller, MANAGER, action_of, node_serving, nodes_serving};
+use crate::find::Finder;
 use crate::verb::End;
 use clap_complete::engine::{ArgValueCompleter, CompletionCandidate, PathCompleter, ValueCompleter};
 use std::collections::BTreeMap;

@@ -5,6 +5,7 @@
 //! knows what may stand where, and once as a `Line`, from which the completers of arguments (`live`) take the domain, the
 //! node or the topic.
 
+mod asked;
 mod line;
 mod live;
 mod paths;
@@ -17,6 +18,7 @@ pub use live::{
 
 use crate::sibling::WITH_VERBS;
 use crate::verb::{Failure, Outcome};
+use asked::{ASKED, Asked};
 use clap::{Args, Command};
 use clap_complete::engine::{CompletionCandidate, complete};
 use clap_complete::env::{EnvCompleter, Shells};
@@ -27,7 +29,6 @@ use std::fs::OpenOptions;
 use std::io::{self, Write};
 use std::path::Path;
 use std::process::ExitCode;
-use std::sync::OnceLock;
 use std::time::Instant;
 
 /// The variable that names the calling shell.
@@ -62,26 +63,6 @@ pub fn run(args: &CompletionsArgs) -> Outcome {
     let shell = SHELLS.completer(&name).ok_or_else(|| Failure::unusable(format!("no script for {name}")))?;
     Ok(io::stdout().write_all(&script(shell)?)?)
 }
-
-/// The word to complete, and the arguments before it.
-struct Asked {
-    line: Line,
-    since: Instant,
-    /// The shell replaces the word by the candidate, and does not require that the candidate begins with the word.
-    replaces: bool,
-    /// The shell inserts candidates unchanged; other shells quote them if necessary.
-    is_raw: bool,
-}
-
-impl Asked {
-    /// Whether a name, which another process may have chosen, is safe on a command line: it must be one word without special characters.
-    fn shell_takes(&self, name: &str) -> bool {
-        let is_word = |c: char| c.is_alphanumeric() || "/_-.,:+=@%~[]".contains(c);
-        !name.chars().any(char::is_control) && (!self.is_raw || name.chars().all(is_word))
-    }
-}
-
-static ASKED: OnceLock<Asked> = OnceLock::new();
 
 /// Prints candidates if a shell called this program for them, as it does at each press of the tab key. Call this before anything else.
 pub fn answer(command: impl Fn() -> Command) -> Option<ExitCode> {
@@ -246,24 +227,6 @@ mod tests {
         ];
         for (words, index, (line, now, before)) in cases {
             assert_eq!(joined(words, index), (line.to_owned(), now, before));
-        }
-    }
-
-    /// Names of parameters and transitions come from a node and may be any text.
-    #[test]
-    fn a_name_is_nothing_but_a_word() {
-        let taken = |is_raw, name: &str| {
-            let line = Line::default();
-            Asked { line, since: Instant::now(), replaces: false, is_raw }.shell_takes(name)
-        };
-        for name in ["/robot/imu", "arm.speed", "--field=parts[2].at", "größe", "std_msgs/msg/String"] {
-            assert!(taken(true, name) && taken(false, name), "{name}");
-        }
-        for name in ["$(touch x)", "a b", "a;b", "a'b", "`a`", "a|b", "a>b", "{a,b}", "*", "a\\b", "!a"] {
-            assert!(!taken(true, name) && taken(false, name), "{name}");
-        }
-        for name in ["a\nb", "\u{1b}[2J", "a\tb"] {
-            assert!(!taken(true, name) && !taken(false, name), "{name:?}");
         }
     }
 

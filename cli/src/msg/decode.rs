@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut msg decode`: bytes to values.
 
-use super::MsgError;
-use super::find::Finder;
 use crate::completions;
+use crate::find::{FindError, Finder};
+use crate::verb::{Failure, Outcome};
 use clap::Args;
 use std::fs;
 use std::io::{self, Read};
@@ -28,17 +28,17 @@ pub struct DecodeArgs {
 }
 
 /// The values as YAML, or JSON in one line.
-pub fn run(finder: &mut Finder, args: &DecodeArgs, json: bool) -> Result<String, MsgError> {
+pub fn run(finder: &mut Finder, args: &DecodeArgs, json: bool) -> Outcome<String> {
     let schema = Arc::new(finder.schema(&args.name)?);
     let bytes = match (&args.hex, &args.file) {
         (Some(hex), _) => unhex(hex)?,
         (None, Some(path)) if path != Path::new("-") => {
-            fs::read(path).map_err(|source| MsgError::Read { path: path.clone(), source })?
+            fs::read(path).map_err(|source| FindError::Read { path: path.clone(), source })?
         }
         _ => {
             let mut bytes = Vec::new();
             let read = io::stdin().read_to_end(&mut bytes);
-            read.map_err(|source| MsgError::Read { path: "standard input".into(), source })?;
+            read.map_err(|source| FindError::Read { path: "standard input".into(), source })?;
             bytes
         }
     };
@@ -53,8 +53,13 @@ pub fn run(finder: &mut Finder, args: &DecodeArgs, json: bool) -> Result<String,
     Ok(if json { message.to_json() + "\n" } else { message.to_string() })
 }
 
-fn unhex(text: &str) -> Result<Vec<u8>, MsgError> {
-    let error = || MsgError::Hex { text: text.chars().take(40).collect() };
+fn unhex(text: &str) -> Outcome<Vec<u8>> {
+    let error = || {
+        let text: String = text.chars().take(40).collect();
+        Failure::unusable(format!(
+            "`{text}` is not hexadecimal text: it needs pairs of digits 0-9 a-f, spaces between bytes allowed"
+        ))
+    };
     let digits: Vec<char> = text.chars().filter(|character| !character.is_whitespace()).collect();
     let pairs = digits.chunks(2).map(|pair| match pair {
         [high, low] => u8::try_from(high.to_digit(16)? << 4 | low.to_digit(16)?).ok(),

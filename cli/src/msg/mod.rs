@@ -2,18 +2,16 @@
 //! `taut msg`: definitions, hashes, layouts and bytes of ROS 2 types, without a compiled-in type.
 
 mod decode;
-mod find;
 mod show;
 
-pub use find::Finder;
 pub use show::parts;
 
 use crate::completions;
+use crate::find::Finder;
 use crate::verb::Outcome;
 use clap::{Args, Subcommand};
-use std::io::{self, Write};
+use std::io::Write;
 use std::path::PathBuf;
-use tautline_schema::{MessageError, SchemaError};
 
 /// Shows definitions, hashes and layouts of ROS 2 types; decodes messages.
 ///
@@ -56,32 +54,6 @@ enum Verb {
     Decode(decode::DecodeArgs),
 }
 
-/// Why there is nothing to print.
-#[derive(Debug, thiserror::Error)]
-pub enum MsgError {
-    #[error("{0}")]
-    Schema(#[from] SchemaError),
-    #[error("{0}")]
-    Known(tautline_definitions::DefinitionError),
-    #[error("{0}")]
-    Message(#[from] MessageError),
-    #[error("{} cannot be read: {source}", path.display())]
-    Read { path: PathBuf, source: io::Error },
-    #[error("`{}` is not a file with a type: give a .msg, .srv or .action file, or a .json of a ROS package", path.display())]
-    File { path: PathBuf },
-    #[error(
-        "`{text}` is not hexadecimal text: it needs pairs of digits 0-9 a-f, spaces between bytes allowed"
-    )]
-    Hex { text: String },
-}
-
-impl MsgError {
-    /// Whether no definition of this type was found.
-    pub fn is_missing(&self, type_name: &str) -> bool {
-        matches!(self, MsgError::Schema(SchemaError::Missing { name, .. }) if name == type_name)
-    }
-}
-
 pub fn run(args: MsgArgs) -> Outcome {
     // A domain that cannot be read has no types.
     let domain = tautline::Context::domain_of_environment().unwrap_or_default();
@@ -98,7 +70,7 @@ pub fn run(args: MsgArgs) -> Outcome {
 }
 
 /// Prints a line for each type, with its name if there are several.
-fn hashes(finder: &mut Finder, names: &[String], json: bool) -> Result<String, MsgError> {
+fn hashes(finder: &mut Finder, names: &[String], json: bool) -> Outcome<String> {
     let mut hashes = Vec::new();
     for name in names {
         let schema = finder.schema(name)?;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut msg show`: the fields of a type and their offsets.
 
-use super::MsgError;
-use super::find::Finder;
+use crate::find::Finder;
+use crate::verb::Outcome;
 use serde::Serialize;
 use std::fmt::Write;
 use tautline_schema::{Definition, Kind, Layout, Plain, Schema, Size};
@@ -64,7 +64,7 @@ struct Struct {
 
 impl Report {
     /// Looks a type up.
-    pub fn of(finder: &mut Finder, name: &str) -> Result<Self, MsgError> {
+    pub fn of(finder: &mut Finder, name: &str) -> Outcome<Self> {
         let schema = finder.schema(name)?;
         let mut messages = Vec::new();
         for part in parts(&schema) {

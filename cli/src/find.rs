@@ -1,15 +1,34 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Finds the schema of a type that the user named.
 
-use super::MsgError;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::{env, fs};
+use std::{env, fs, io};
 use tautline::TransportError;
 use tautline_definitions::{Bundled, DefinitionError, find_schema};
 use tautline_schema::{HashedTypeDescription, Kind, Packages, Schema, SchemaError, TypeName};
 use tautline_transport::graph_of;
+
+/// Why a type was not found.
+#[derive(Debug, thiserror::Error)]
+pub enum FindError {
+    #[error("{0}")]
+    Schema(#[from] SchemaError),
+    #[error("{0}")]
+    Known(DefinitionError),
+    #[error("{} cannot be read: {source}", path.display())]
+    Read { path: PathBuf, source: io::Error },
+    #[error("`{}` is not a file with a type: give a .msg, .srv or .action file, or a .json of a ROS package", path.display())]
+    File { path: PathBuf },
+}
+
+impl FindError {
+    /// Whether no definition of this type was found.
+    pub fn is_missing(&self, type_name: &str) -> bool {
+        matches!(self, FindError::Schema(SchemaError::Missing { name, .. }) if name == type_name)
+    }
+}
 
 /// The folders that are searched.
 pub struct Finder {
@@ -61,7 +80,7 @@ impl Finder {
     }
 
     /// The schema of a type or of a file.
-    pub fn schema(&mut self, name: &str) -> Result<Schema, MsgError> {
+    pub fn schema(&mut self, name: &str) -> Result<Schema, FindError> {
         let path = Path::new(name);
         if path.extension().is_some() || path.is_file() {
             self.file(path)
@@ -82,7 +101,7 @@ impl Finder {
     }
 
     /// The schema of a type that may be known only in the domain, whose processes cache their definitions.
-    fn named_or_known(&mut self, name: &TypeName) -> Result<Schema, MsgError> {
+    fn named_or_known(&mut self, name: &TypeName) -> Result<Schema, FindError> {
         let missing = match self.named(name) {
             Err(error @ SchemaError::Missing { .. }) => error,
             found => return Ok(found?),
@@ -93,21 +112,21 @@ impl Finder {
             match find_schema("", name, Some(known)) {
                 Ok(schema) => return Ok(Arc::unwrap_or_clone(schema)),
                 Err(DefinitionError::Unknown { .. }) => {}
-                Err(error) => return Err(MsgError::Known(error)),
+                Err(error) => return Err(FindError::Known(error)),
             }
         }
         Err(missing.into())
     }
 
-    fn file(&mut self, path: &Path) -> Result<Schema, MsgError> {
-        let no_type = || MsgError::File { path: path.to_owned() };
+    fn file(&mut self, path: &Path) -> Result<Schema, FindError> {
+        let no_type = || FindError::File { path: path.to_owned() };
         let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
         let kind = Kind::from_name(extension);
         if kind.is_none() && extension != "json" {
             return Err(no_type());
         }
         let text =
-            fs::read_to_string(path).map_err(|source| MsgError::Read { path: path.to_owned(), source })?;
+            fs::read_to_string(path).map_err(|source| FindError::Read { path: path.to_owned(), source })?;
         let Some(kind) = kind else {
             let description: HashedTypeDescription = serde_json::from_str(&text).map_err(|_| no_type())?;
             return Ok(Schema::from_description(&description.type_description_msg)?);
