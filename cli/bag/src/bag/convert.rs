@@ -1,15 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut bag convert`: converts bags between the storages and compressions of rosbag2.
 
-use super::{NewArgs, Progress, Sum, whole};
+use super::damage::whole;
+use super::progress::Progress;
+use super::sum::Sum;
 use crate::definitions::recorded_type;
+use crate::record::{Compressed, size};
 use clap::{Args, ValueEnum};
 use serde_json::json;
 use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
 use taut_cli::verb::{CommonArgs, End, Failure, Outcome};
-use tautline_bag::{BagError, Definition, Hooks, Storage, Topic, convert};
+use tautline_bag::{BagError, Definition, Hooks, Options, Storage, Topic, convert};
 use tautline_definitions::{find_schema, type_of};
 use tautline_msgs::split_header;
 use tautline_schema::{DynamicMessage, Endian, Schema, TypeName};
@@ -34,6 +37,25 @@ pub struct ConvertArgs {
     storage: Stored,
     #[command(flatten)]
     new: NewArgs,
+}
+
+#[derive(Args, Clone, Debug)]
+pub struct NewArgs {
+    /// The new bag: a folder that does not exist yet
+    #[arg(short, long, value_name = "FOLDER")]
+    output: PathBuf,
+    /// How chunks are compressed
+    #[arg(long, value_enum, default_value_t = Compressed::None)]
+    compression: Compressed,
+    /// A new file when one has this size, such as 500MB or 4GiB
+    #[arg(long, value_name = "SIZE", value_parser = size)]
+    max_size: Option<u64>,
+}
+
+impl NewArgs {
+    fn options(&self) -> Options {
+        Options { compression: self.compression.into(), split_bytes: self.max_size, ..Options::default() }
+    }
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]

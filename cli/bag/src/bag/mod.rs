@@ -2,24 +2,29 @@
 //! `taut bag`: shows, checks, repairs, cuts, merges, converts and draws bags.
 
 mod convert;
+mod damage;
 mod plot;
+mod progress;
+mod sum;
 
-use crate::record::{Compressed, size};
+pub use damage::placed;
+
 use clap::{Args, Subcommand};
-use indicatif::ProgressBar;
+use convert::NewArgs;
+use damage::more;
+use progress::Progress;
 use regex::Regex;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::{self, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Duration;
+use sum::Sum;
 use taut_cli::arguments::full_name;
-use taut_cli::date::date;
-use taut_cli::table::write_table;
 use taut_cli::verb::{CommonArgs, Failure, Outcome, Verbs, time};
 use tautline_bag::{
-    CDR, Damage, Event, FileReader, FileSummary, Hooks, Options, Storage, Topic, custom_data_of, files_of,
-    index_of, is_being_written, recover,
+    Damage, Event, FileReader, Hooks, Storage, Topic, custom_data_of, files_of, index_of, is_being_written,
+    recover,
 };
 
 /// Shows, checks, repairs, cuts, merges, converts and draws bags
@@ -89,25 +94,6 @@ pub struct MergeArgs {
     bags: Vec<PathBuf>,
     #[command(flatten)]
     new: NewArgs,
-}
-
-#[derive(Args, Clone, Debug)]
-struct NewArgs {
-    /// The new bag: a folder that does not exist yet
-    #[arg(short, long, value_name = "FOLDER")]
-    output: PathBuf,
-    /// How chunks are compressed
-    #[arg(long, value_enum, default_value_t = Compressed::None)]
-    compression: Compressed,
-    /// A new file when one has this size, such as 500MB or 4GiB
-    #[arg(long, value_name = "SIZE", value_parser = size)]
-    max_size: Option<u64>,
-}
-
-impl NewArgs {
-    fn options(&self) -> Options {
-        Options { compression: self.compression.into(), split_bytes: self.max_size, ..Options::default() }
-    }
 }
 
 pub fn run(args: &Verbs<Verb>) -> Outcome {
@@ -212,19 +198,6 @@ fn read(path: &Path, progress: &Progress, mut take: impl FnMut(Event<'_>)) -> Ou
         Ok::<_, Failure>(())
     })?;
     Ok(reader)
-}
-
-/// A damaged part and its place.
-pub fn placed(path: &Path, Damage { offset, what }: &Damage) -> String {
-    format!("{}: at byte {offset}: {what}", path.display())
-}
-
-/// The number of damaged parts besides the first, in words.
-fn more(damages: u64) -> String {
-    match damages {
-        0 | 1 => String::new(),
-        _ => format!(", and {} more", damages - 1),
-    }
 }
 
 /// What to do about a damaged file.
@@ -335,119 +308,4 @@ fn cut(args: &CutArgs, common: &CommonArgs) -> Outcome {
     };
     let hooks = Hooks { wants: Box::new(wants), span_ns: from_ns..to_ns, ..Hooks::default() };
     convert::write(std::slice::from_ref(&args.bag), &args.new, Storage::Mcap, hooks, common)
-}
-
-/// Fails if there was damage; `damages` is the number of damaged parts.
-fn whole(damage: &[(PathBuf, Damage)], damages: u64) -> Outcome {
-    let Some((path, damage)) = damage.first() else { return Ok(()) };
-    Err(Failure::no(format!("{}{}; what is whole was taken", placed(path, damage), more(damages))))
-}
-
-struct Sum {
-    topics: BTreeMap<(String, String), (Topic, u64)>,
-    attachments: Vec<String>,
-    messages: u64,
-    bytes: u64,
-    start_ns: u64,
-    end_ns: u64,
-}
-
-impl Sum {
-    fn of(files: &[FileSummary]) -> Self {
-        let with_messages = || files.iter().filter(|file| file.messages > 0);
-        let mut topics = BTreeMap::new();
-        for (key, (topic, messages)) in files.iter().flat_map(|file| &file.topics) {
-            topics.entry(key.clone()).or_insert_with(|| (topic.clone(), 0)).1 += messages;
-        }
-        Sum {
-            topics,
-            attachments: files.iter().flat_map(|file| file.attachments.clone()).collect(),
-            messages: files.iter().map(|file| file.messages).sum(),
-            bytes: files.iter().map(|file| file.bytes).sum(),
-            start_ns: with_messages().map(|file| file.start_ns).min().unwrap_or(0),
-            end_ns: with_messages().map(|file| file.end_ns).max().unwrap_or(0),
-        }
-    }
-
-    fn seconds(&self) -> f64 {
-        self.end_ns.saturating_sub(self.start_ns) as f64 / 1e9
-    }
-
-    fn json(&self, files: &[FileSummary]) -> Value {
-        let topic = |(Topic { name, type_name, type_hash, encoding, .. }, messages): &(Topic, u64)| json!({ "topic": name, "type": type_name, "hash": type_hash, "encoding": encoding, "messages": messages });
-        let file = |file: &FileSummary| {
-            json!({
-                "file": file.name(), "bytes": file.bytes, "messages": file.messages,
-                "start_ns": file.start_ns, "end_ns": file.end_ns,
-            })
-        };
-        json!({
-            "messages": self.messages, "bytes": self.bytes, "start_ns": self.start_ns, "end_ns": self.end_ns,
-            "topics": self.topics.values().map(topic).collect::<Vec<_>>(), "files": files.iter().map(file).collect::<Vec<_>>(),
-            "attachments": self.attachments,
-        })
-    }
-
-    fn write(&self, bag: &Path, files: &[FileSummary], out: &mut impl Write) -> io::Result<()> {
-        let seconds = self.seconds();
-        if !self.topics.is_empty() {
-            let row = |(Topic { name, type_name, encoding, .. }, messages): &(Topic, u64)| {
-                let hz =
-                    if seconds > 0.0 { format!("{:.1}", *messages as f64 / seconds) } else { "-".into() };
-                let of_type =
-                    if encoding == CDR { type_name.clone() } else { format!("{type_name} ({encoding})") };
-                (true, vec![name.clone(), of_type, messages.to_string(), hz])
-            };
-            write_table(
-                &["topic", "type", "messages", "mean/s"],
-                2,
-                self.topics.values().map(row).collect(),
-                out,
-            )?;
-        }
-        let (files, megabytes) = (files.len(), self.bytes as f64 / 1e6);
-        write!(
-            out,
-            "{}: {} messages in {files} {}, {megabytes:.1} MB",
-            bag.display(),
-            self.messages,
-            if files == 1 { "file" } else { "files" }
-        )?;
-        match self.messages {
-            0 => writeln!(out)?,
-            _ => writeln!(out, ", {seconds:.1} s from {} UTC", date(self.start_ns.cast_signed()))?,
-        }
-        match &*self.attachments {
-            [] => Ok(()),
-            names => writeln!(out, "attachments: {}", names.join(", ")),
-        }
-    }
-}
-
-/// Progress on a terminal, shown after two seconds.
-struct Progress {
-    bar: ProgressBar,
-    start: Instant,
-}
-
-impl Progress {
-    fn new(is_json: bool) -> Self {
-        let bar = if is_json { ProgressBar::hidden() } else { ProgressBar::new_spinner() };
-        Progress { bar, start: Instant::now() }
-    }
-
-    fn say(&self, path: &Path) {
-        self.bar.set_message(format!("reading {}", path.display()));
-        self.tick();
-    }
-
-    fn tick(&self) {
-        if self.start.elapsed() > Duration::from_secs(2) {
-            self.bar.tick();
-        }
-    }
-
-    fn end(&self) {
-        self.bar.finish_and_clear();
-    }
 }

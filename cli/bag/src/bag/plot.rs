@@ -5,7 +5,8 @@ mod columns;
 mod field;
 mod picture;
 
-use super::{Progress, whole};
+use super::damage::whole;
+use super::progress::Progress;
 use crate::definitions::{from_bag, recorded_type};
 use clap::Args;
 use columns::Columns;
