@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Plays the topics of a node of the system file in its place, on its core and at its priority, and marks the run for the report.
 
-use super::PlayArgs;
+use super::args::{PRIORITY, PlayArgs};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 use taut_cli::arguments::full_name;
@@ -74,7 +74,7 @@ impl StandIn {
     /// The callback's priority; for a reservation, which is above all priorities, the highest one that is used.
     pub fn priority(&self) -> u8 {
         const HIGHEST: u8 = 98;
-        self.first().map_or(super::PRIORITY, |callback| callback.priority.min(HIGHEST))
+        self.first().map_or(PRIORITY, |callback| callback.priority.min(HIGHEST))
     }
 
     /// The node's cores.

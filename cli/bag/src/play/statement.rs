@@ -1,16 +1,28 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reports at the end what was played, what was not, and how late.
 
-use super::feeder::Fed;
+use super::args::PlayArgs;
+use super::feeder::{Fed, Part};
 use super::player::Played;
-use super::{PlayArgs, Role};
 use crate::ring::LATCHED_BYTES;
 use serde_json::json;
 use std::io::{self, Write};
+use std::sync::Arc;
 use std::time::Duration;
 use taut_cli::table::write_table;
 use taut_cli::times::Times;
 use taut_cli::verb::{Failure, Outcome};
+use tautline_bag::Topic;
+use tautline_transport::{Qos, TopicType};
+
+/// A topic as it is played.
+pub struct Role {
+    pub name: String,
+    pub topic: Arc<Topic>,
+    pub topic_type: TopicType,
+    pub qos: Qos,
+    pub part: Part,
+}
 
 pub struct Statement<'a> {
     pub args: &'a PlayArgs,

@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which topics are recorded.
 
-use super::RecordArgs;
+use super::args::RecordArgs;
 use super::event::EVENTS;
 use regex::Regex;
-use taut_cli::arguments::full_name;
-use taut_cli::arguments::full_type;
+use taut_cli::arguments::{full_name, full_type};
 use taut_cli::verb::{Failure, Outcome};
 
 pub struct Choice {

@@ -4,6 +4,7 @@
 //! The main thread discovers publishers; `reader` takes messages and copies them once, into a ring of locked memory; `bag_writer` writes
 //! from the ring to the disk.
 
+pub mod args;
 mod aside;
 mod bag_writer;
 mod black_box;
@@ -14,186 +15,30 @@ mod observers;
 mod reader;
 mod statement;
 
+pub use args::{Compressed, RecordArgs, size};
+
 use aside::Aside;
 use bag_writer::BagWriter;
-use black_box::{Alarms, Dumper, Kind};
+use black_box::{Alarms, Dumper};
 use choice::Choice;
-use clap::Args;
 use indicatif::ProgressBar;
 use observers::Observers;
 use reader::{Pace, Reader};
 use statement::Statement;
 use std::collections::BTreeMap;
-use std::num::NonZeroU32;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use taut_cli::completions;
-use taut_cli::date::date;
-use taut_cli::verb::{CommonArgs, End, Failure, Outcome, time};
-use tautline_bag::{BagError, Compression, Options, Writer};
-use tautline_rt::{self as rt, CoreSet, MemoryLock, Policy, ThreadBuilder};
+use taut_cli::verb::{End, Failure, Outcome};
+use tautline_bag::{BagError, Options, Writer};
+use tautline_rt::{self as rt, MemoryLock, Policy, ThreadBuilder};
 use tautline_transport::Participant;
 
 /// The interval at which publishers are discovered.
 const LOOK: Duration = Duration::from_millis(20);
 /// The interval at which a terminal shows the counts.
 const SAY: Duration = Duration::from_millis(500);
-
-/// Records topics into a bag, as rosbag2 writes them: MCAP files and a metadata.yaml
-///
-/// Publishers do not notice: none waits for the recorder, wakes it, or lists it. Lost messages are counted. At the end the recorder prints
-/// the stall that each topic survives: a queue of `--depth` messages over the rate of its fastest publisher.
-/// Ctrl-C ends the recording. `taut bag recover` repairs the bag of a killed recorder, which has all but the last half second.
-#[derive(Args, Clone, Debug)]
-#[command(after_help = "Examples:
-  taut record /scan /odom                          until Ctrl-C, into a new folder
-  taut record -a --exclude 'camera|/rosout' -o run1
-  taut record --service /add --action /dock        requests and responses as events
-  taut record --type sensor_msgs/msg/Image --compression zstd --max-size 1GB
-  taut record -a --max-time 5min --keep 12         the last hour
-  taut record -a --black-box 30s --budget 1GB      the last 30 s before a deadline is missed, a process dies, a topic falls silent
-  taut record /scan --throttle /scan=1 --timeout 60s --json
-
-Exit codes: 0 nothing was lost; 1 something was, or a named topic did not come; 2 it could not be written.
-On a terminal the enter key pauses and goes on; so does SIGUSR1. A black box is written then.")]
-pub struct RecordArgs {
-    #[command(flatten)]
-    common: CommonArgs,
-    /// Topics; those that do not exist are waited for
-    #[arg(value_name = "TOPIC", add = completions::topics())]
-    topics: Vec<String>,
-    /// Every topic, service and action, also those that appear later
-    #[arg(short, long)]
-    all: bool,
-    /// Requests and responses of this service, as /SERVICE/_service_event; may be given several times
-    #[arg(long, value_name = "SERVICE")]
-    service: Vec<String>,
-    /// Goals, results, cancellations, feedback and states of this action; may be given several times
-    #[arg(long, value_name = "ACTION")]
-    action: Vec<String>,
-    /// Topics whose name matches this regular expression in part
-    #[arg(short = 'e', long, value_name = "REGEX")]
-    regex: Option<String>,
-    /// Topics of this type, or services; may be given several times
-    #[arg(long = "type", value_name = "TYPE")]
-    types: Vec<String>,
-    /// Except topics whose name matches this regular expression in part
-    #[arg(short = 'x', long, value_name = "REGEX")]
-    exclude: Option<String>,
-    /// Also topics of other hosts and of ROS, which see a subscription and send their messages
-    #[arg(long)]
-    fetch: bool,
-    /// The bag: a folder that does not exist yet [default: bag_ and the time]
-    #[arg(short, long, value_name = "FOLDER")]
-    output: Option<PathBuf>,
-    /// How chunks are compressed
-    #[arg(long, value_enum, default_value_t = Compressed::None)]
-    compression: Compressed,
-    /// Begin a new file when one has this size, such as 500MB or 4GiB
-    #[arg(long, value_name = "SIZE", value_parser = size)]
-    max_size: Option<u64>,
-    /// Begin a new file when one has messages of this time
-    #[arg(long, value_name = "TIME", value_parser = time)]
-    max_time: Option<Duration>,
-    /// Keep no more files than this, or bags of a black box: the oldest is removed
-    #[arg(long, value_name = "N")]
-    keep: Option<NonZeroU32>,
-    /// Keep at most this number of messages of this topic per second; may be given several times
-    #[arg(long, value_name = "TOPIC=HZ", value_parser = throttle)]
-    throttle: Vec<(String, f64)>,
-    /// Begin without recording
-    #[arg(long)]
-    paused: bool,
-    /// Memory for messages that wait for the disk, locked and touched at the start
-    #[arg(long, value_name = "SIZE", default_value = "256MB", value_parser = size)]
-    budget: u64,
-    /// Messages that wait in the queue of each publisher [default: the greatest depth of the topic's endpoints, or as many as have 1 MiB, up to 1000]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=65_536))]
-    depth: Option<u32>,
-    /// The interval at which messages are taken
-    #[arg(long, value_name = "TIME", default_value = "2ms", value_parser = time)]
-    period: Duration,
-    /// Keep the last TIME in memory, and write it into a bag of its own at each event of --on
-    #[arg(long, value_name = "TIME", value_parser = time, conflicts_with = "paused")]
-    black_box: Option<Duration>,
-    /// The events at which the black box is written
-    #[arg(long, value_enum, value_name = "WHAT", value_delimiter = ',', requires = "black_box",
-          default_values_t = [Kind::Deadline, Kind::Death, Kind::Silence, Kind::Request])]
-    on: Vec<Kind>,
-    /// A topic is silent after this time [default: ten times its longest pause, 1s at least]; may be given several times
-    #[arg(long, value_name = "TOPIC=TIME", value_parser = silent, requires = "black_box")]
-    silent: Vec<(String, Duration)>,
-    /// The bag also has the messages of this time after the event
-    #[arg(long, value_name = "TIME", value_parser = time, default_value = "1s", requires = "black_box")]
-    after: Duration,
-    /// Keep no trace events in the black box: processes do not record any for it
-    #[arg(long, requires = "black_box")]
-    no_trace: bool,
-    /// Run on these cores alone, such as 0-1,4 [default: those that no real-time thread of the domain is bound to, if there are any]
-    #[arg(long, value_name = "LIST", value_parser = cores)]
-    cores: Option<CoreSet>,
-    /// Take messages at an ordinary priority, instead of SCHED_FIFO 1 where that is permitted
-    #[arg(long)]
-    no_rt: bool,
-}
-
-#[derive(clap::ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Compressed {
-    /// Without compression
-    None,
-    /// Small
-    Zstd,
-    /// Fast
-    Lz4,
-}
-
-impl From<Compressed> for Compression {
-    fn from(compressed: Compressed) -> Self {
-        match compressed {
-            Compressed::None => Compression::None,
-            Compressed::Zstd => Compression::Zstd,
-            Compressed::Lz4 => Compression::Lz4,
-        }
-    }
-}
-
-/// A number of bytes and its unit.
-pub fn size(text: &str) -> Result<u64, String> {
-    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
-    let unit: f64 = match &text[digits.len()..] {
-        "" | "B" => 1.0,
-        "kB" | "KB" | "k" | "K" => 1e3,
-        "MB" | "M" => 1e6,
-        "GB" | "G" => 1e9,
-        "TB" | "T" => 1e12,
-        "KiB" => 1024.0,
-        "MiB" => 1048576.0,
-        "GiB" => 1073741824.0,
-        "TiB" => 1099511627776.0,
-        other => return Err(format!("'{other}' is no unit: B, kB, MB, GB, TB, KiB, MiB, GiB, TiB")),
-    };
-    let number = digits.parse::<f64>().ok().map(|number| number * unit).filter(|n| (1.0..1e18).contains(n));
-    number.map(|bytes| bytes as u64).ok_or_else(|| format!("'{text}' is no size: 500MB or 4GiB is one"))
-}
-
-fn silent(text: &str) -> Result<(String, Duration), String> {
-    let (topic, text) = text.rsplit_once('=').ok_or("TOPIC=TIME, such as /scan=200ms")?;
-    Ok((taut_cli::arguments::full_name(topic), time(text)?))
-}
-
-fn cores(text: &str) -> Result<CoreSet, String> {
-    let cores = CoreSet::parse(text).filter(|cores| !cores.is_empty());
-    cores.ok_or_else(|| format!("'{text}' is no list of cores: 0-1,4 is one"))
-}
-
-fn throttle(text: &str) -> Result<(String, f64), String> {
-    let (topic, hz) = text.rsplit_once('=').ok_or("TOPIC=HZ, such as /scan=10")?;
-    let hz = hz.parse::<f64>().ok().filter(|hz| (1e-6..1e9).contains(hz));
-    let hz = hz.ok_or("HZ is a number of messages a second, above 0")?;
-    Ok((taut_cli::arguments::full_name(topic), hz))
-}
 
 pub fn run(args: &RecordArgs) -> Outcome {
     let choice = Choice::new(args)?;
@@ -278,7 +123,7 @@ pub fn run(args: &RecordArgs) -> Outcome {
         }
         Behind::Dumper(dumper, _) => {
             let dumped = dumper.finish();
-            black_box::print(args, &folder, dumped, &statement)
+            black_box::print(args.common.json, &folder, dumped, &statement)
         }
     }
 }
@@ -372,21 +217,6 @@ fn listen(flag: &Arc<AtomicBool>, change: fn(&AtomicBool)) -> Outcome {
 }
 
 impl RecordArgs {
-    /// The part of the budget for data on their way to the disk.
-    fn memory_bytes(&self) -> usize {
-        (self.budget / 8).clamp(8 << 10, 32 << 20) as usize
-    }
-
-    fn options(&self) -> Options {
-        Options {
-            compression: self.compression.into(),
-            split_bytes: self.max_size,
-            split_ns: self.max_time.map(rt::clock::nanoseconds),
-            keep_files: self.keep,
-            memory_bytes: Some(self.memory_bytes()),
-        }
-    }
-
     fn plan(&self, folder: &Path, domain: u32, span: Duration, offset_ns: i64) -> Outcome<black_box::Plan> {
         // Refused now, rather than when an alarm needs the folder.
         if folder.exists() {
@@ -421,12 +251,6 @@ impl RecordArgs {
             }
         }
     }
-
-    /// `bag_` or `black_box_` and the time, UTC.
-    fn default_folder(&self) -> String {
-        let what = if self.black_box.is_some() { "black_box" } else { "bag" };
-        format!("{what}_{}", date(rt::clock::wall_ns()).replace(' ', "-").replace(':', "_"))
-    }
 }
 
 /// The metadata of each file about the host and the recorder.
@@ -443,21 +267,4 @@ fn session(domain: u32, offset_ns: i64) -> BTreeMap<String, String> {
     ]
     .map(|(key, value)| (key.to_owned(), value))
     .into()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn sizes_and_rates_are_read() {
-        assert_eq!([size("500MB"), size("4GiB"), size("7")], [Ok(500_000_000), Ok(4 << 30), Ok(7)]);
-        for wrong in ["", "0", "-1MB", "5 MB", "3 parsec", "1e30GB", "nan"] {
-            assert!(size(wrong).is_err(), "{wrong}");
-        }
-        assert_eq!(throttle("scan=10"), Ok(("/scan".into(), 10.0)));
-        for wrong in ["/scan", "/scan=", "/scan=0", "/scan=x", "/scan=-1"] {
-            assert!(throttle(wrong).is_err(), "{wrong}");
-        }
-    }
 }

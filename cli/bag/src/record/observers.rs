@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The topics that are recorded, and an observer for each.
 
-use super::RecordArgs;
+use super::args::RecordArgs;
 use super::choice::Choice;
 use super::event::{EVENTS, Events, Part};
 use crate::definitions;

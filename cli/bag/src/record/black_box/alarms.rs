@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Decides when the black box is written: a deadline is missed, a process dies, a topic falls silent, or the user requests it.
 
-use super::super::observers::Observers;
+use crate::record::args::Kind;
+use crate::record::observers::Observers;
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -23,23 +24,6 @@ const PAUSES: u64 = 10;
 const MESSAGES: u64 = 10;
 /// The least time after which a topic is silent.
 const SILENCE_NS: u64 = 1_000_000_000;
-
-/// The events that are watched for.
-#[derive(clap::ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
-    /// A callback misses its deadline
-    Deadline,
-    /// A process is killed, crashes, or leaves without ending what it had
-    Death,
-    /// A topic falls silent that has a publisher
-    Silence,
-    /// SIGUSR1, or the enter key on a terminal
-    Request,
-}
-
-tautline_rt::names!(Kind: pub const fn name(self) -> &'static str {
-    Deadline: "deadline", Death: "death", Silence: "silence", Request: "request",
-});
 
 /// Why the black box is written.
 pub struct Alarm {

@@ -4,8 +4,9 @@
 //! Messages leave the memory when they are written, so an alarm soon after another writes only newer ones. Messages that publishers keep
 //! for late joiners are kept as long as the publishers keep them, and stand at the beginning of each bag.
 
-use super::alarms::{Alarm, Kind};
+use super::alarms::Alarm;
 use super::tracing::Tracing;
+use crate::record::args::Kind;
 use crate::record::channels::Channels;
 use crate::record::observers::Announced;
 use crate::ring::{HEAD_BYTES, Head, LATCHED_BYTES, Ring, oldest};

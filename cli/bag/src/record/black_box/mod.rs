@@ -8,11 +8,11 @@ mod alarms;
 mod dumper;
 mod tracing;
 
-pub use alarms::{Alarms, Kind};
+pub use alarms::Alarms;
 pub use dumper::{Dump, Dumped, Dumper, Plan};
 pub use tracing::Tracing;
 
-use super::{RecordArgs, Statement};
+use super::statement::Statement;
 use crate::ring::LATCHED_BYTES;
 use serde_json::json;
 use std::io::Write;
@@ -20,11 +20,11 @@ use std::path::Path;
 use taut_cli::verb::{Failure, Outcome};
 
 /// Prints the result of a black box.
-pub fn print(args: &RecordArgs, folder: &Path, dumped: Outcome<Dumped>, statement: &Statement) -> Outcome {
+pub fn print(is_json: bool, folder: &Path, dumped: Outcome<Dumped>, statement: &Statement) -> Outcome {
     let out = &mut taut_cli::print::stdout();
-    let mut printed = if args.common.json { Ok(()) } else { statement.table(out) };
+    let mut printed = if is_json { Ok(()) } else { statement.table(out) };
     let (dumped, lost) = (dumped?, statement.lost());
-    if args.common.json {
+    if is_json {
         let bags: Vec<_> = dumped.dumps.iter().map(Dump::json).collect();
         let shortest = dumped.shortest_ns;
         let report = json!({
