@@ -1,8 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Durations of many events, and their output.
+//! Durations, also of many events, and their output.
 
 use hdrhistogram::Histogram;
 use serde_json::{Value, json};
+
+/// Nanoseconds in milliseconds.
+pub fn ms(ns: u64) -> f64 {
+    ns as f64 / 1e6
+}
+
+/// Nanoseconds in microseconds.
+pub fn us(ns: u64) -> f64 {
+    ns as f64 / 1e3
+}
 
 /// A histogram of times in ns, with three significant digits, up to an hour.
 pub struct Times(Histogram<u64>);
@@ -35,7 +45,6 @@ impl Times {
 
     /// The median, the 99th percentile and the maximum in ms; `None` without a value.
     pub fn ms(&self) -> Option<[f64; 3]> {
-        let ms = |ns: u64| ns as f64 / 1e6;
         let all = || [self.0.value_at_quantile(0.5), self.0.value_at_quantile(0.99), self.0.max()].map(ms);
         (!self.0.is_empty()).then(all)
     }

@@ -7,6 +7,7 @@ use tautline_analysis::file::{self, CheckedSystem, Executor, JoinPolicy};
 
 use super::admit;
 use super::sensitivity::Growth;
+use crate::times::ms;
 
 #[derive(Serialize)]
 struct Verdict<'a> {
@@ -115,7 +116,6 @@ pub fn write(
     admission: Option<admit::Verdict<'_>>,
     out: &mut impl Write,
 ) -> io::Result<()> {
-    let ms = |ns: u64| ns as f64 / 1e6;
     let callbacks = checked.callbacks.iter().map(|callback| Callback {
         name: &callback.entry.name,
         host: &callback.host,

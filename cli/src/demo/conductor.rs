@@ -8,6 +8,7 @@ use super::output::Files;
 use super::process::{GLANCE, Process};
 use super::protocol::{self, Job, Line, Measured, Published};
 use super::report::{self, Costs, DemoReport, TopicRun};
+use crate::times::{ms, us};
 use crate::verb::{Failure, Outcome};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::process::ExitCode;
@@ -171,8 +172,8 @@ fn assemble(args: &DemoArgs, run: &Run, published: &Published, measured: Measure
     // The last topic has the lowest priority, so its list contains everything.
     let all = losses.last().cloned().unwrap_or_default();
     let taken = all.seen(&[Seen::Running, Seen::WokenLate]);
-    let lost_ms = |way| all.seen(&[way]).total_ns() as f64 / 1e6;
-    let longest_taken_ms = taken.longest_ns() as f64 / 1e6;
+    let lost_ms = |way| ms(all.seen(&[way]).total_ns());
+    let longest_taken_ms = ms(taken.longest_ns());
     let (per_message, interruptions) = (Duration::from_nanos(overhead_ns), run.interruptions);
     let costs = Costs { per_message, interruptions, taken };
     let pair = |((task, measured), lost_time): ((Task, protocol::TopicMeasured), TakenTimes)| TopicRun {
@@ -195,16 +196,16 @@ fn assemble(args: &DemoArgs, run: &Run, published: &Published, measured: Measure
         kernel: info.kernel,
         topics: report::topic_reports(runs, &costs),
         preemption: format!("{}{mode}", info.preemption),
-        overhead_us: overhead_ns as f64 / 1e3,
+        overhead_us: us(overhead_ns),
         sampler_priority,
-        interruption_us: regular_ns as f64 / 1e3,
+        interruption_us: us(regular_ns),
         interrupted_percent: 100.0 * total_ns as f64 / window_ns.max(1) as f64,
-        longest_interruption_us: longest_ns as f64 / 1e3,
+        longest_interruption_us: us(longest_ns),
         taken_running_ms: lost_ms(Seen::Running),
         taken_late_ms: lost_ms(Seen::WokenLate),
         longest_taken_ms,
         others_ms: lost_ms(Seen::Waited),
-        longest_use_us: all.seen(&[Seen::Overran]).longest_ns() as f64 / 1e3,
+        longest_use_us: us(all.seen(&[Seen::Overran]).longest_ns()),
         moments_overwritten,
     })
 }

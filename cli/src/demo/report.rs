@@ -10,6 +10,7 @@ use tautline_analysis::{Overheads, Task};
 use tautline_rt::Interruptions;
 
 use crate::moment::ACCOUNTED_TO_NS;
+use crate::times::ms;
 
 /// One run of the demo. The fields up to `topics` are a contract with scripts: names, order and units stay.
 #[derive(Debug, Clone, Serialize)]
@@ -348,10 +349,6 @@ fn topic_report(run: TopicRun, prediction: Prediction, excess: Excess) -> TopicR
 fn percentile(ascending: &[u64], percent: usize) -> Option<u64> {
     let rank = (ascending.len() * percent).div_ceil(100);
     ascending.get(rank.checked_sub(1)?).copied()
-}
-
-fn ms(ns: u64) -> f64 {
-    ns as f64 / 1e6
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 
 use super::finding::{Checked, Cost, Finding, Verdict};
 use crate::table::write_table;
+use crate::times::us;
 use crate::verb::{End, Outcome};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::{Value, json};
@@ -46,10 +47,6 @@ impl Seen {
             "longest_us": us(self.sum.longest_ns), "share": self.share(),
         })
     }
-}
-
-fn us(ns: u64) -> f64 {
-    ns as f64 / 1e3
 }
 
 /// Measures each core in turn for `window`, at `priority` if that is granted. A core that was not measured, because this process may not use

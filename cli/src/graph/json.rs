@@ -2,12 +2,12 @@
 //! Output as JSON for scripts. Names and units do not change.
 
 use super::picture::{Bound, Chain, Edge, Mismatch, Node, Picture, Rate, Topic};
+use crate::times::ms;
 use serde_json::{Value, json};
 
 impl Picture {
     /// Edges name their endpoints, and give the node by its index, because several nodes may have the same name.
     pub fn to_json(&self) -> Value {
-        let ms = |ns: u64| ns as f64 / 1e6;
         let node = |(id, node): (usize, &Node)| json!({ "id": id, "name": node.name, "pid": node.pid, "place": node.place });
         let topic = |topic: &Topic| {
             json!({

@@ -8,6 +8,7 @@ use tautline_analysis::taken::{Seen, Sight, Taken, TakenTimes, response_time_wit
 
 use super::run::{Callback, Process, Run};
 use crate::moment::{ACCOUNTED_TO_NS, Kind, Moment};
+use crate::times::ms;
 
 /// The time that was taken from each core on which a process accounts for it.
 pub struct Host<'c> {
@@ -190,7 +191,6 @@ impl<'c> Host<'c> {
 
     pub fn notes(&self) -> Vec<String> {
         let line = |((host, core), times): (&(String, usize), &CoreTimes)| {
-            let ms = |ns: u64| ns as f64 / 1e6;
             let taken = &times.host;
             format!(
                 "the host took {:.2} ms of core {core} of `{host}` while callbacks ran and {:.2} ms before timers were served, at most \

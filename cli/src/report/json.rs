@@ -7,6 +7,7 @@ use tautline::HistogramSnapshot;
 
 use super::explain::Mark;
 use super::verdict::{ChainRow, Comparison, Measured, Row, Running, Unknown, Verdict, least_distance};
+use crate::times::ms;
 
 #[derive(Serialize)]
 struct Report<'a> {
@@ -234,8 +235,4 @@ fn times(histogram: &HistogramSnapshot) -> Times {
     let n = histogram.n();
     let some = |time: std::time::Duration| (n > 0).then_some(time.as_nanos() as f64 / 1e6);
     Times { n, p50: some(histogram.p(0.5)), p99: some(histogram.p(0.99)), max: some(histogram.max()) }
-}
-
-fn ms(ns: u64) -> f64 {
-    ns as f64 / 1e6
 }

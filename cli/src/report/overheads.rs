@@ -9,6 +9,7 @@ use tautline_executor::ExecutorSnapshot;
 use super::run::unread;
 use super::verdict::Verdict;
 use crate::table::{WARNING, wrap, write_table};
+use crate::times::ms;
 use crate::verb::{CommonArgs, Failure, Outcome};
 
 /// The margin that is added to the longest measured time, in percent.
@@ -107,11 +108,10 @@ impl Measured {
 
     fn to_json(&self) -> Value {
         let ExecutorSnapshot { name, overhead, callbacks, .. } = &self.executor;
-        let sum_ms = |ns: u64| ns as f64 / 1e6;
         json!({
             "executor": name, "process": self.process, "callbacks": self.callbacks(), "n": overhead.n(),
             "p50_us": us(overhead.p(0.5)), "p99_us": us(overhead.p(0.99)), "max_us": us(overhead.max()),
-            "sum_ms": sum_ms(overhead.sum_ns()), "callbacks_sum_ms": sum_ms(callbacks.sum_ns()),
+            "sum_ms": ms(overhead.sum_ns()), "callbacks_sum_ms": ms(callbacks.sum_ns()),
         })
     }
 }

@@ -2,11 +2,12 @@
 //! `taut trace hops`: the latency of each hop of the messages of several domains.
 
 use super::file;
-use super::latency::{histogram, us};
+use super::latency::{cell, histogram};
 use super::output::write_to;
 use super::recording::{Entry, Recording};
 use super::ways::{At, Hop, HopKind, Place, Ways};
 use crate::table::write_table;
+use crate::times::us;
 use crate::verb::Outcome;
 use clap::Args;
 use hdrhistogram::Histogram;
@@ -174,18 +175,14 @@ fn table(recordings: &[Recording], hops: &Hops<'_>, mut to: &mut dyn Write) -> i
     let mut topic = None;
     for (key, row) in &hops.rows {
         let is_first = topic.replace(key.topic) != Some(key.topic);
-        let at = |quantile| match row.latency.is_empty() {
-            true => "-".to_owned(),
-            false => format!("{:.1}", us(row.latency.value_at_quantile(quantile))),
-        };
         let line = vec![
             if is_first { key.topic.to_owned() } else { String::new() },
             key.kind.name().replace('_', " "),
             places(recordings, key.from, key.to),
             row.n.to_string(),
-            at(0.5),
-            at(0.99),
-            at(1.0),
+            cell(&row.latency, 0.5),
+            cell(&row.latency, 0.99),
+            cell(&row.latency, 1.0),
         ];
         lines.push((true, line));
     }

@@ -6,6 +6,7 @@ use super::messages::{messages_lost, publications, runs};
 use super::output::write_to;
 use super::recording::Recording;
 use crate::table::write_table;
+use crate::times::us;
 use crate::verb::Outcome;
 use clap::Args;
 use hdrhistogram::Histogram;
@@ -111,8 +112,9 @@ fn rows(recording: &Recording) -> Vec<Row> {
     rows.into_values().collect()
 }
 
-pub fn us(ns: u64) -> f64 {
-    ns as f64 / 1000.0
+/// The cell of a quantile in µs.
+pub fn cell(of: &Histogram<u64>, quantile: f64) -> String {
+    if of.is_empty() { "-".to_owned() } else { format!("{:.1}", us(of.value_at_quantile(quantile))) }
 }
 
 fn distribution(of: &Histogram<u64>) -> Value {
@@ -151,20 +153,16 @@ fn table(rows: &[Row], mut to: &mut dyn Write) -> io::Result<()> {
         ];
         for (index, (what, of)) in parts.into_iter().enumerate() {
             let first = |text: &str| if index == 0 { text.to_owned() } else { String::new() };
-            let at = |quantile: f64| match of.is_empty() {
-                true => "-".to_owned(),
-                false => format!("{:.1}", us(of.value_at_quantile(quantile))),
-            };
             let lost = row.messages_lost.map_or_else(|| "-".to_owned(), |lost| lost.to_string());
             let line = vec![
                 first(&row.callback),
                 first(&format!("{} ({})", row.thread, row.pid)),
                 what,
                 of.len().to_string(),
-                at(0.5),
-                at(0.99),
-                at(0.999),
-                at(1.0),
+                cell(of, 0.5),
+                cell(of, 0.99),
+                cell(of, 0.999),
+                cell(of, 1.0),
                 first(&lost),
             ];
             lines.push((true, line));

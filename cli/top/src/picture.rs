@@ -7,6 +7,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 use taut_cli::rates::{RateMeter, per_second};
+use taut_cli::times::ms;
 use taut_cli::verb::Outcome;
 use tautline::{Bucket, HistogramSnapshot};
 use tautline_analysis::file::{CheckedCallback, SystemFile};
@@ -181,7 +182,6 @@ impl Gatherer {
                     bounds.get(&callback.name).copied().unwrap_or_default();
                 // Recorded is the priority with which the thread takes a message.
                 let running = priorities.filter(|(waiting, _)| callback.priority == Some(*waiting));
-                let ms = |ns: u64| ns as f64 / 1e6;
                 let of = |time: std::time::Duration| time.as_secs_f64() * 1e3;
                 let recent = recent(callback, former.map(|(_, buckets)| buckets));
                 let quantile = |q: f64| (recent.n() > 0).then(|| of(recent.p(q)));
