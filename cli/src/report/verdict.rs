@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Compares predictions with measurements: which assumptions of the analysis held.
+use std::borrow::Borrow;
 use std::collections::BTreeSet;
 
 use tautline::{HistogramSnapshot, Policy};
@@ -105,9 +106,7 @@ impl Comparison {
         let mut notes = notes(file, checked, run, &rows, &host);
         let mut fold = |why: &str, is_folded: fn(&Unknown) -> bool| {
             let names: Vec<_> = unknown.extract_if(.., |one| is_folded(one)).map(|one| one.name).collect();
-            if !names.is_empty() {
-                notes.push(format!("not in the file, {why}: {}", names.join(", ")));
-            }
+            notes.extend(note_of(&names, &format!("not in the file, {why}: {{}}")));
         };
         fold("and not run yet", |one| {
             one.callback.response.max_ns().is_none() && one.callback.unfinished_ns.is_none()
@@ -123,32 +122,27 @@ impl Comparison {
                 "{node} is played from a bag by {process}: the others' bounds are looked at, with its input; its own callbacks are not"
             ));
         }
-        if !unseen.is_empty() {
-            let names: Vec<&str> = unseen.iter().map(|callback| &*callback.entry.name).collect();
-            notes.push(format!(
-                "timers of ROS's client libraries are seen only if they alone publish the first of their `publishes` in their node, not: {}",
-                names.join(", ")
-            ));
-        }
+        let unseen: Vec<&str> = unseen.iter().map(|callback| &*callback.entry.name).collect();
+        notes.extend(note_of(
+            &unseen,
+            "timers of ROS's client libraries are seen only if they alone publish the first of their `publishes` in their node, not: {}",
+        ));
         notes.extend(
             rows.iter()
                 .filter_map(|row| explain::published(&row.predicted, &row.measured.as_ref()?.callback)),
         );
         let other_hosts: BTreeSet<&str> = elsewhere.iter().map(|callback| callback.host.as_str()).collect();
-        if !other_hosts.is_empty() {
-            let names = other_hosts.into_iter().collect::<Vec<_>>().join(", ");
-            notes
-                .push(format!("callbacks of {names} are not looked at: only this host's processes are seen"));
-        }
+        notes.extend(note_of(
+            &other_hosts.into_iter().collect::<Vec<_>>(),
+            "callbacks of {} are not looked at: only this host's processes are seen",
+        ));
         let others = checked.chains.iter().filter(|chain| chain.stages.is_none());
         let others: Vec<&str> = others.map(|chain| &*chain.name).collect();
-        if !others.is_empty() {
-            notes.push(format!(
-                "chains of which a callback reads at its own pace, waits for several topics or is on another host are not looked at: {}; `taut trace` \
-                 measures them",
-                others.join(", ")
-            ));
-        }
+        notes.extend(note_of(
+            &others,
+            "chains of which a callback reads at its own pace, waits for several topics or is on another host are not looked at: {}; `taut trace` \
+             measures them",
+        ));
         let processes = run.processes.iter().map(|process| Running {
             label: process.label(),
             host: process.host.clone(),
@@ -412,27 +406,22 @@ fn unknown(here: &[&CheckedCallback], run: &Run) -> Vec<Unknown> {
 
 fn notes(file: &SystemFile, checked: &CheckedSystem, run: &Run, rows: &[Row], host: &Host) -> Vec<String> {
     let mut notes = Vec::new();
-    let list = |names: Vec<String>| names.join(", ");
-    let off: Vec<_> = run.processes.iter().filter(|process| !process.realtime).map(Process::label).collect();
-    if !off.is_empty() {
-        notes.push(format!(
-            "{} runs without real-time priorities: no bound applies to it; start it with the right to them, and without TAUT_REALTIME=off",
-            list(off)
-        ));
-    }
+    let labels = |which: &dyn Fn(&Process) -> bool| -> Vec<String> {
+        run.processes.iter().filter(|process| which(process)).map(Process::label).collect()
+    };
+    notes.extend(note_of(
+        &labels(&|process| !process.realtime),
+        "{} runs without real-time priorities: no bound applies to it; start it with the right to them, and without TAUT_REALTIME=off",
+    ));
     for process in &run.processes {
         if let Some(why) = &process.forced {
             notes.push(format!("{} was admitted by force: {why}", process.label()));
         }
     }
-    let other = run.processes.iter().filter(|process| process.system_hash != file.fingerprint());
-    let other: Vec<_> = other.map(Process::label).collect();
-    if !other.is_empty() {
-        notes.push(format!(
-            "{} was started with another text of the system file: its priorities and depths may be others; restart it",
-            list(other)
-        ));
-    }
+    notes.extend(note_of(
+        &labels(&|process| process.system_hash != file.fingerprint()),
+        "{} was started with another text of the system file: its priorities and depths may be others; restart it",
+    ));
     notes.extend(host.notes());
     for row in rows {
         let Some(measured) = &row.measured else { continue };
@@ -466,25 +455,23 @@ fn notes(file: &SystemFile, checked: &CheckedSystem, run: &Run, rows: &[Row], ho
     let is_idle = |row: &Row| row.measured.as_ref().is_some_and(|seen| seen.callback.completions == 0);
     let is_unseen = |row: &Row| row.predicted.entry.executor == Executor::Events;
     let idle = names(&|row| is_idle(row) && !is_unseen(row));
-    if !idle.is_empty() {
-        notes.push(format!("no job has ended yet of {}: nothing is known of it", list(idle)));
-    }
-    let unseen = names(&|row| is_idle(row) && is_unseen(row));
-    if !unseen.is_empty() {
-        notes.push(format!(
-            "nothing is measured of {}: an EventsExecutor does not wait in the RMW, which sees no end of its callbacks; measure in another executor",
-            list(unseen)
-        ));
-    }
+    notes.extend(note_of(&idle, "no job has ended yet of {}: nothing is known of it"));
+    notes.extend(note_of(
+        &names(&|row| is_idle(row) && is_unseen(row)),
+        "nothing is measured of {}: an EventsExecutor does not wait in the RMW, which sees no end of its callbacks; measure in another executor",
+    ));
     let unmeasured = names(&|row| {
         let is_it = |seen: &Measured| !seen.callback.measures_execution && !seen.callback.is_by_publications;
         row.measured.as_ref().is_some_and(is_it)
     });
-    if !unmeasured.is_empty() {
-        notes.push(format!(
-            "execution times are not measured of {}: its wcet is not verified; drop `.execution_time(false)`",
-            list(unmeasured)
-        ));
-    }
+    notes.extend(note_of(
+        &unmeasured,
+        "execution times are not measured of {}: its wcet is not verified; drop `.execution_time(false)`",
+    ));
     notes
+}
+
+/// The note with these names in place of its braces; `None` without a name.
+fn note_of(names: &[impl Borrow<str>], note: &str) -> Option<String> {
+    (!names.is_empty()).then(|| note.replacen("{}", &names.join(", "), 1))
 }
