@@ -49,18 +49,23 @@ fn mark(name: &'static str, explanation: String) -> Mark {
     Mark { name, explanation }
 }
 
+/// How a callback gets what the file says of its thread; `of_ros` if a client library of ROS runs it.
+fn how(predicted: &CheckedCallback, of_ros: impl FnOnce() -> String) -> String {
+    match predicted.entry.client {
+        Client::Tautline => format!("spawn it with `context.callback(\"{}\")`", predicted.entry.name),
+        Client::Rclcpp | Client::Rclpy => of_ros(),
+    }
+}
+
 pub fn not_running(predicted: &CheckedCallback, run: &Run) -> Mark {
     let node = &predicted.entry.node;
-    let how = match predicted.entry.client {
-        Client::Tautline => format!("spawn it with `context.callback(\"{}\")`", predicted.entry.name),
-        Client::Rclcpp | Client::Rclpy => {
-            let (what, topics) = match &predicted.entry.topics[..] {
-                [] => ("publisher", predicted.entry.publishes.get(..1).unwrap_or_default()),
-                topics => ("subscription", topics),
-            };
-            format!("with TAUT_SYSTEM set, and a {what} of {}", topics.join(", "))
-        }
-    };
+    let how = how(predicted, || {
+        let (what, topics) = match &predicted.entry.topics[..] {
+            [] => ("publisher", predicted.entry.publishes.get(..1).unwrap_or_default()),
+            topics => ("subscription", topics),
+        };
+        format!("with TAUT_SYSTEM set, and a {what} of {}", topics.join(", "))
+    });
     let text = format!(
         "no process of domain {} on host {} has a callback of this name: start node `{node}`, {how}, or take it out of \
          the file",
@@ -120,22 +125,16 @@ pub fn wrong_priority(predicted: &CheckedCallback, seen: &Callback) -> Mark {
         None if predicted.entry.lowest_priority < priority => format!("{} while it waits", level(priority)),
         None => level(priority),
     };
-    let how = match predicted.entry.client {
-        Client::Tautline => format!("spawn it with `context.callback(\"{}\")`", predicted.entry.name),
-        Client::Rclcpp | Client::Rclpy => {
-            format!("give SCHED_FIFO {priority} to the thread that spins its executor, before it does")
-        }
-    };
+    let of_ros =
+        || format!("give SCHED_FIFO {priority} to the thread that spins its executor, before it does");
+    let how = how(predicted, of_ros);
     let text = format!("its thread has {has}, the file gives it {wanted}: {how}, or change it in the file");
     mark("wrong priority", text)
 }
 
 pub fn wrong_core(predicted: &CheckedCallback, seen: &Callback) -> Mark {
     let has = seen.core.map_or("may run on several cores".into(), |core| format!("runs on core {core}"));
-    let how = match predicted.entry.client {
-        Client::Tautline => format!("spawn it with `context.callback(\"{}\")`", predicted.entry.name),
-        Client::Rclcpp | Client::Rclpy => "pin the thread that spins its executor, before it does".into(),
-    };
+    let how = how(predicted, || "pin the thread that spins its executor, before it does".into());
     let text = format!(
         "its thread {has}, the file says core {}: {how}, or change `core` in the file",
         predicted.core
@@ -167,18 +166,13 @@ pub fn wcet_exceeded(predicted: &CheckedCallback, seen: &Callback, used_ns: u64,
         0 => format!("wcet {}", Time(wcet_ns)),
         _ => format!("wcet {} and {} of overheads", Time(wcet_ns), Time(overheads_ns)),
     };
+    let lowered = match predicted.entry.overrun {
+        OverrunPolicy::Suspend => "suspended until its next period",
+        _ => "below all others, with what waited for it",
+    };
     let demoted = match seen.demotions {
         0 => String::new(),
-        _ if predicted.entry.overrun == OverrunPolicy::Suspend => {
-            format!(
-                "; {} suspended until its next period, so no other bound rests on it",
-                times(seen.demotions)
-            )
-        }
-        _ => format!(
-            "; {} below all others, with what waited for it, so no other bound rests on it",
-            times(seen.demotions)
-        ),
+        demotions => format!("; {} {lowered}, so no other bound rests on it", times(demotions)),
     };
     let text = format!(
         "a job used {} of processor time, the file allows {allowed} (exceeded {} in {} jobs{demoted}): set `wcet = {}` or more \
