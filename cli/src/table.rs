@@ -2,6 +2,7 @@
 //! Tables and colours of the output for people.
 
 use std::collections::BTreeSet;
+use std::fmt;
 use std::io::{self, Write};
 
 use crate::print::Colour;
@@ -117,6 +118,16 @@ pub fn whereabouts(node: &NodeInfo) -> String {
 /// Milliseconds, rounded up as a bound must be; "-" without a bound.
 pub fn ms(ns: Option<u64>) -> String {
     ns.map_or("-".into(), |ns| format!("{:.3}", ns.div_ceil(1_000) as f64 / 1e3))
+}
+
+/// A number of things: `1 node`, `2 nodes`.
+pub fn count<N: fmt::Display + From<u8> + PartialEq>(n: N, what: &str) -> String {
+    format!("{n} {what}{}", if n == N::from(1_u8) { "" } else { "s" })
+}
+
+/// `once` or `2 times`.
+pub fn times(n: u64) -> String {
+    if n == 1 { "once".into() } else { format!("{n} times") }
 }
 
 /// Breaks a text between words.

@@ -4,6 +4,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use crate::table::count;
 use crate::verb::{Failure, Outcome};
 use admit::Admitted;
 pub use admit::this_host;
@@ -121,10 +122,9 @@ pub fn read_file(path: &Path) -> Outcome<SystemFile> {
 /// The failure of a system file, whose problems are printed as file:line:column, to which editors can jump.
 pub fn file_failure(error: &FileError) -> Failure {
     let FileError::Content { path, source } = error else { return Failure::unusable(error.to_string()) };
-    let (path, count) = (path.display(), source.0.len());
+    let path = path.display();
     for problem in &source.0 {
         eprintln!("{path}:{}:{}: {}", problem.line, problem.column, problem.message);
     }
-    let plural = if count == 1 { "" } else { "s" };
-    Failure::unusable(format!("{path} has {count} problem{plural}"))
+    Failure::unusable(format!("{path} has {}", count(source.0.len(), "problem")))
 }

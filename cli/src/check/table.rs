@@ -5,7 +5,7 @@ use std::io::{self, Write};
 
 use tautline_analysis::file::{CheckedCallback, CheckedSystem, JoinPolicy, WakeUp};
 
-use crate::table::{BAD, GOOD, WARNING, ms, priority, write_table};
+use crate::table::{BAD, GOOD, WARNING, count, ms, priority, write_table};
 
 /// Writes for each join how many messages it queues, and how long a message waits for the others.
 fn write_joins(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
@@ -168,7 +168,6 @@ pub fn write(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
 
 fn verdict(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
     if checked.schedulable {
-        let count = |n: usize, what| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
         let (callbacks, chains) = (checked.callbacks.len(), checked.chains.len());
         let counts = format!("{}, {}", count(callbacks, "callback"), count(chains, "chain"));
         return writeln!(out, "{GOOD}Schedulable: every deadline is met ({counts}).{GOOD:#}");

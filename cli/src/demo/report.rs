@@ -10,6 +10,7 @@ use tautline_analysis::{Overheads, Task};
 use tautline_rt::Interruptions;
 
 use crate::moment::ACCOUNTED_TO_NS;
+use crate::table::times;
 use crate::times::ms;
 
 /// One run of the demo. The fields up to `topics` are a contract with scripts: names, order and units stay.
@@ -252,7 +253,7 @@ impl TopicReport {
     pub fn beyond_prediction(&self) -> Option<String> {
         let (worst, predicted) = (self.worst?, self.rta_overhead_ms?);
         let count = if self.unexplained > 0 { self.unexplained } else { self.beyond };
-        let times = if count == 1 { "once".to_owned() } else { format!("{count} times") };
+        let times = times(count);
         let Worst { response_ms, host_took_ms, others_had_ms, middleware_used_ms, allowed_ms } = worst;
         let allowed = allowed_ms.map_or(String::new(), |ms| format!(", with that {ms:.2} ms"));
         let host = format!(

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The content of a drawing, independent of its format: nodes, topics and the edges between them.
 
-use crate::table::ms;
+use crate::table::{count, ms};
 
 /// A domain, or a part of it.
 #[derive(Clone, Debug, Default)]
@@ -213,7 +213,6 @@ fn bound_text(ns: Option<u64>, deadline_ns: u64, met: bool) -> String {
 impl Picture {
     /// The lines above the picture, each with whether it is free of faults.
     pub fn caption(&self) -> Vec<(bool, String)> {
-        let count = |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
         let of = |kind| self.topics.iter().filter(|topic| topic.kind == kind).count();
         let mut first = format!(
             "Domain {}: {}, {}",

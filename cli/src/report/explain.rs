@@ -7,6 +7,7 @@ use tautline_analysis::file::{CheckedCallback, Client, OverrunPolicy};
 
 use super::host::{Longest, Share};
 use super::run::{Callback, Process, Run};
+use crate::table::times;
 
 /// Names of violations that `--wcet` reports, too.
 pub const INPUT_TOO_LARGE: &str = "input too large";
@@ -39,10 +40,6 @@ impl fmt::Display for Time {
 /// A time as a value for the file, rounded up to a microsecond.
 pub fn quoted(ns: u64) -> String {
     format!("\"{}\"", Time(ns.div_ceil(1_000).saturating_mul(1_000))).replace(' ', "")
-}
-
-fn times(n: u64) -> String {
-    if n == 1 { "once".into() } else { format!("{n} times") }
 }
 
 fn mark(name: &'static str, explanation: String) -> Mark {

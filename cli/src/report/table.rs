@@ -9,7 +9,7 @@ use super::explain;
 use super::host::Share;
 use super::run::Run;
 use super::verdict::{ChainRow, Comparison, NOTHING, Row, Verdict};
-use crate::table::{BAD, GOOD, WARNING, ms, wrap, write_table};
+use crate::table::{BAD, GOOD, WARNING, count, ms, wrap, write_table};
 
 /// Writes the whole report; callbacks with a violation are red.
 pub fn write(comparison: &Comparison, run: &Run, out: &mut impl Write) -> io::Result<()> {
@@ -148,10 +148,8 @@ fn verdict(comparison: &Comparison, run: &Run, out: &mut impl Write) -> io::Resu
         return writeln!(out, "{GOOD}{text}{GOOD:#}");
     }
     let mut names: Vec<&str> = comparison.marks().map(|(name, _)| name).collect();
-    let count = names.len();
+    let count = count(names.len(), "assumption");
     names.dedup();
-    let plural = if count == 1 { "" } else { "s" };
-    let text =
-        format!("Violated: {count} assumption{plural}, of {}; {jobs} jobs ({processes}).", names.join(", "));
+    let text = format!("Violated: {count}, of {}; {jobs} jobs ({processes}).", names.join(", "));
     writeln!(out, "{BAD}{}{BAD:#}", wrap(&text))
 }

@@ -17,6 +17,7 @@ use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
+use taut_cli::table::count;
 use taut_cli::verb::{Failure, Outcome, time};
 use tautline_bag::{CDR, Ordered, Topic, is_compressed};
 use tautline_definitions::find_schema;
@@ -139,13 +140,9 @@ pub fn run(args: &PlotArgs, is_json: bool) -> Outcome {
                 })?;
                 if !is_json {
                     let messages: u64 = lines.iter().map(|line| line.series.messages).sum();
-                    let of = if messages == 1 { "message of" } else { "messages of" };
-                    let seconds = (to_ns - from_ns) as f64 / 1e9;
-                    writeln!(
-                        taut_cli::print::stdout(),
-                        "{}: {messages} {of} {seconds:.1} s",
-                        path.display()
-                    )?;
+                    let (messages, seconds) = (count(messages, "message"), (to_ns - from_ns) as f64 / 1e9);
+                    let path = path.display();
+                    writeln!(taut_cli::print::stdout(), "{path}: {messages} of {seconds:.1} s")?;
                 }
             }
         }

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::path::Path;
 use taut_cli::date::date;
-use taut_cli::table::write_table;
+use taut_cli::table::{count, write_table};
 use tautline_bag::{CDR, FileSummary, Topic};
 
 pub struct Sum {
@@ -71,14 +71,8 @@ impl Sum {
                 out,
             )?;
         }
-        let (files, megabytes) = (files.len(), self.bytes as f64 / 1e6);
-        write!(
-            out,
-            "{}: {} messages in {files} {}, {megabytes:.1} MB",
-            bag.display(),
-            self.messages,
-            if files == 1 { "file" } else { "files" }
-        )?;
+        let (files, megabytes) = (count(files.len(), "file"), self.bytes as f64 / 1e6);
+        write!(out, "{}: {} messages in {files}, {megabytes:.1} MB", bag.display(), self.messages)?;
         match self.messages {
             0 => writeln!(out)?,
             _ => writeln!(out, ", {seconds:.1} s from {} UTC", date(self.start_ns.cast_signed()))?,

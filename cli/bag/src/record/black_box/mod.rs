@@ -17,6 +17,7 @@ use crate::ring::LATCHED_BYTES;
 use serde_json::json;
 use std::io::Write;
 use std::path::Path;
+use taut_cli::table::count;
 use taut_cli::verb::{Failure, Outcome};
 
 /// Prints the result of a black box.
@@ -33,10 +34,9 @@ pub fn print(is_json: bool, folder: &Path, dumped: Outcome<Dumped>, statement: &
         });
         printed = writeln!(out, "{report}");
     } else {
-        let count = dumped.dumps.len();
-        let bags = if count == 1 { "bag" } else { "bags" };
+        let bags = count(dumped.dumps.len(), "bag");
         let loss = if lost == 0 { "nothing lost".to_owned() } else { format!("{lost} LOST") };
-        printed = printed.and_then(|()| writeln!(out, "{}: {count} {bags}, {loss}", folder.display()));
+        printed = printed.and_then(|()| writeln!(out, "{}: {bags}, {loss}", folder.display()));
         for dump in &dumped.dumps {
             printed = printed.and_then(|()| writeln!(out, "  {}", dump.line()));
         }
