@@ -5,7 +5,7 @@ use crate::bindings::*;
 use crate::distro;
 use crate::end::{MessageQueue, ReceivingEndpoint};
 use crate::error::{Error, Result};
-use crate::handle::{behind, endpoint_name, exported, gid_to_ros, hand_out, place};
+use crate::handle::{behind, endpoint_name, exported, gid_to_ros, handle, place};
 use crate::node::NodeOfEndpoint;
 use crate::on_new::Listeners;
 use crate::qos;
@@ -28,6 +28,8 @@ pub(crate) struct Client {
     listeners: Arc<Listeners>,
     end: Arc<ReceivingEndpoint<Asking>>,
 }
+
+handle!(rmw_client_t, Client, "the client");
 
 pub(crate) struct Asking {
     raw: QueuedClient,
@@ -161,7 +163,7 @@ exported! {
         context.helper.run(move || serve(served, requests));
         let client =
             Client { node: node.into(), of, qos: qos::to_ros(&wanted, false), depth, gid, listeners, end };
-        hand_out(node, name, client, |_| ())
+        node.hand_out(name, client, |_| ())
     }
 
     fn rmw_destroy_client(node: *mut rmw_node_t => behind, client: *mut rmw_client_t) {

@@ -3,7 +3,9 @@
 
 use crate::bindings::*;
 use crate::error::{Error, Result};
-use crate::handle::{IDENTIFIER, behind_context, check_initialised, check_zero, exported, take_back, text};
+use crate::handle::{
+    Handle, IDENTIFIER, behind, check_identifier, check_initialised, check_zero, exported, take_back, text,
+};
 use crate::helper::{Helper, Ring};
 use crate::notifier::{Notifier, NotifierWaker};
 use crate::on_new::{Listener, ListenersByName};
@@ -12,6 +14,7 @@ use crate::signal::{Signal, Waiter};
 use crate::system::System;
 use crate::{lend, log};
 use futures::StreamExt;
+use std::ffi::{c_char, c_void};
 use std::future::poll_fn;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -39,6 +42,26 @@ pub(crate) struct Context {
     pub(crate) listeners: ListenersByName,
     /// The context's waits, for trace events.
     pub(crate) waits: Arc<SamplerObject>,
+}
+
+impl Handle for rmw_context_t {
+    type Data = Context;
+    const WHAT: &'static str = "the context";
+
+    fn identifier(&self) -> *const c_char {
+        self.implementation_identifier
+    }
+
+    fn data(&self) -> *mut c_void {
+        self.impl_.cast()
+    }
+
+    fn check(&self) -> Result {
+        if self.implementation_identifier.is_null() {
+            return Err(Error::invalid("the context has not been initialised, or was finalised"));
+        }
+        check_identifier(self.implementation_identifier, Self::WHAT)
+    }
 }
 
 /// Signals to set when the graph changes.
@@ -250,14 +273,14 @@ exported! {
         Ok(())
     }
 
-    fn rmw_shutdown(context: *mut rmw_context_t => behind_context) {
+    fn rmw_shutdown(context: *mut rmw_context_t => behind) {
         context.waiters.shut_down();
         Ok(())
     }
 
     fn rmw_context_fini(context: *mut rmw_context_t) {
         // SAFETY: rmw's contract.
-        let behind = unsafe { behind_context(context)? };
+        let behind = unsafe { behind(context)? };
         if !behind.waiters.is_shut_down() {
             return Err(Error::invalid("the context is not shut down"));
         }

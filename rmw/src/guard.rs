@@ -3,7 +3,7 @@
 
 use crate::bindings::*;
 use crate::error::{Error, Result};
-use crate::handle::{IDENTIFIER, behind, behind_context, exported, take_back};
+use crate::handle::{IDENTIFIER, behind, exported, handle, take_back};
 use crate::signal::Signal;
 use std::sync::Arc;
 
@@ -11,6 +11,8 @@ use std::sync::Arc;
 pub(crate) struct GuardCondition {
     pub(crate) signal: Arc<Signal>,
 }
+
+handle!(rmw_guard_condition_t, GuardCondition, "the guard condition");
 
 /// Creates a guard condition for ROS.
 pub(crate) fn create(context: *mut rmw_context_t, signal: Arc<Signal>) -> Result<*mut rmw_guard_condition_t> {
@@ -39,7 +41,7 @@ pub(crate) unsafe fn destroy(handle: *mut rmw_guard_condition_t) {
 exported! {
     fn rmw_create_guard_condition(context: *mut rmw_context_t) -> *mut rmw_guard_condition_t {
         // SAFETY: rmw's contract.
-        unsafe { behind_context(context)? };
+        unsafe { behind(context)? };
         create(context, Arc::default())
     }
 

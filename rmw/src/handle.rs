@@ -2,15 +2,7 @@
 //! The handles that ROS holds: structs of librmw with a pointer to our data.
 
 use crate::bindings::*;
-use crate::client::Client;
-use crate::context::Context;
 use crate::error::{Error, Result, checked};
-use crate::guard::GuardCondition;
-use crate::node::Node;
-use crate::publisher::Publisher;
-use crate::service::Service;
-use crate::subscription::Subscription;
-use crate::wait::WaitSet;
 use std::ffi::{CStr, c_char, c_int, c_void};
 use tautline_transport::Gid;
 
@@ -60,6 +52,11 @@ pub(crate) trait Handle {
     const WHAT: &'static str;
     fn identifier(&self) -> *const c_char;
     fn data(&self) -> *mut c_void;
+
+    /// Checks that this implementation created it.
+    fn check(&self) -> Result {
+        check_identifier(self.identifier(), Self::WHAT)
+    }
 }
 
 /// A publisher, subscription, service or client.
@@ -114,30 +111,22 @@ endpoints! {
     rmw_client_t, service_name, rmw_client_allocate, rmw_client_free;
 }
 
-macro_rules! handles {
-    ($($handle:ty, $data:ty, $what:literal;)*) => {$(
-        impl Handle for $handle {
+/// Says which data a struct of librmw points to, and what it is called in errors.
+macro_rules! handle {
+    ($handle:ty, $data:ty, $what:literal) => {
+        impl $crate::handle::Handle for $handle {
             type Data = $data;
             const WHAT: &'static str = $what;
-            fn identifier(&self) -> *const c_char {
+            fn identifier(&self) -> *const std::ffi::c_char {
                 self.implementation_identifier
             }
-            fn data(&self) -> *mut c_void {
+            fn data(&self) -> *mut std::ffi::c_void {
                 self.data.cast()
             }
         }
-    )*};
+    };
 }
-
-handles! {
-    rmw_node_t, Node, "the node";
-    rmw_publisher_t, Publisher, "the publisher";
-    rmw_subscription_t, Subscription, "the subscription";
-    rmw_service_t, Service, "the service";
-    rmw_client_t, Client, "the client";
-    rmw_guard_condition_t, GuardCondition, "the guard condition";
-    rmw_wait_set_t, WaitSet, "the wait set";
-}
+pub(crate) use handle;
 
 /// The data of a handle.
 ///
@@ -146,48 +135,9 @@ handles! {
 pub(crate) unsafe fn behind<'h, H: Handle>(handle: *const H) -> Result<&'h H::Data> {
     // SAFETY: the caller's contract.
     let handle = unsafe { given(handle, H::WHAT)? };
-    check_identifier(handle.identifier(), H::WHAT)?;
+    handle.check()?;
     // SAFETY: it is ours, so the data has our type.
     unsafe { given(handle.data().cast(), H::WHAT) }
-}
-
-/// The data of a context.
-///
-/// # Safety
-/// As [`behind`].
-pub(crate) unsafe fn behind_context<'h>(context: *const rmw_context_t) -> Result<&'h Context> {
-    let what = "the context";
-    // SAFETY: the caller's contract.
-    let context = unsafe { given(context, what)? };
-    let is_none = || Error::invalid("the context has not been initialised, or was finalised");
-    if context.implementation_identifier.is_null() {
-        return Err(is_none());
-    }
-    check_identifier(context.implementation_identifier, what)?;
-    // SAFETY: it is ours, so the data has our type.
-    unsafe { context.impl_.cast::<Context>().as_ref() }.ok_or_else(is_none)
-}
-
-/// Creates the handle of an endpoint of `node`, with this name and data; `fill` sets further fields. The node owns the handle.
-pub(crate) fn hand_out<H: EndpointHandle>(
-    node: &Node,
-    name: &str,
-    data: H::Data,
-    fill: impl FnOnce(&mut H),
-) -> Result<*mut H> {
-    let (name, handle) = (copy_text(name)?, H::allocate());
-    if handle.is_null() {
-        // SAFETY: copied above.
-        unsafe { free_text(name) };
-        return Err(Error::new(RET_BAD_ALLOC, format!("no memory for {}", H::WHAT)));
-    }
-    let mut made = H::default();
-    made.set(Box::into_raw(Box::new(data)).cast(), name);
-    fill(&mut made);
-    // SAFETY: librmw's memory for it, which nobody else has yet.
-    unsafe { handle.write(made) };
-    node.own(handle);
-    Ok(handle)
 }
 
 /// Takes back the data of our handle.

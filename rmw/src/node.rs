@@ -5,9 +5,7 @@ use crate::bindings::*;
 use crate::context::Context;
 use crate::error::{Error, Result};
 use crate::guard;
-use crate::handle::{
-    EndpointHandle, IDENTIFIER, behind, behind_context, copy_text, exported, free_text, take_back,
-};
+use crate::handle::{EndpointHandle, IDENTIFIER, behind, copy_text, exported, free_text, handle, take_back};
 use crate::signal::Signal;
 use std::ffi::{c_char, c_void};
 use std::ops::Deref;
@@ -28,6 +26,8 @@ pub(crate) struct Node {
     /// Endpoints that ROS has not destroyed.
     endpoints: Mutex<Vec<OwnedEndpoint>>,
 }
+
+handle!(rmw_node_t, Node, "the node");
 
 /// A handle of ROS's, and the function that drops the endpoint behind it.
 struct OwnedEndpoint {
@@ -61,9 +61,27 @@ impl Node {
         self.endpoints.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes ownership of an endpoint, which is dropped with this node at the latest.
-    pub(crate) fn own<H: EndpointHandle>(&self, handle: *mut H) {
+    /// Creates the handle of an endpoint with this name and data, which the node owns; `fill` sets further fields.
+    pub(crate) fn hand_out<H: EndpointHandle>(
+        &self,
+        name: &str,
+        data: H::Data,
+        fill: impl FnOnce(&mut H),
+    ) -> Result<*mut H> {
+        let (name, handle) = (copy_text(name)?, H::allocate());
+        if handle.is_null() {
+            // SAFETY: copied above.
+            unsafe { free_text(name) };
+            return Err(Error::new(RET_BAD_ALLOC, format!("no memory for {}", H::WHAT)));
+        }
+        let mut made = H::default();
+        made.set(Box::into_raw(Box::new(data)).cast(), name);
+        fill(&mut made);
+        // SAFETY: librmw's memory for it, which nobody else has yet.
+        unsafe { handle.write(made) };
+        // Dropped with this node at the latest.
         self.endpoints().push(OwnedEndpoint { handle: handle.cast(), end: end::<H> });
+        Ok(handle)
     }
 
     /// Destroys one of the node's endpoints.
@@ -125,7 +143,7 @@ exported! {
         namespace: *const c_char => namespace,
     ) -> *mut rmw_node_t {
         // SAFETY: rmw's contract.
-        let behind = unsafe { behind_context(context)? };
+        let behind = unsafe { behind(context)? };
         behind.check()?;
         let handle = behind.participant.create_node_in_enclave(name, namespace, &behind.enclave)?;
         let full_name = format!("{}/{name}", namespace.trim_end_matches('/'));

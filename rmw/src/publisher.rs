@@ -5,7 +5,7 @@ use crate::bindings::*;
 use crate::cdr::{Callbacks, Length};
 use crate::error::{Error, Result};
 use crate::event::{Happened, Sources};
-use crate::handle::{exported, gid_to_ros, hand_out};
+use crate::handle::{exported, gid_to_ros, handle};
 use crate::node::NodeOfEndpoint;
 use crate::on_new::Listeners;
 use crate::qos::{self, EndpointRole};
@@ -36,6 +36,8 @@ pub(crate) struct Publisher {
     /// Used by one thread at a time.
     side: PiMutex<Publishing>,
 }
+
+handle!(rmw_publisher_t, Publisher, "the publisher");
 
 struct Publishing {
     /// Loans of `raw` that ROS writes in place; dropped before it, under the lock.
@@ -233,7 +235,7 @@ exported! {
             side: PiMutex::new(Publishing { loans: Vec::new(), raw: Box::new(raw) }),
         };
         let can_loan_messages = publisher.message_type.is_plain();
-        hand_out(node, name, publisher, |handle: &mut rmw_publisher_t| {
+        node.hand_out(name, publisher, |handle: &mut rmw_publisher_t| {
             (handle.options, handle.can_loan_messages) = (*options, can_loan_messages);
         })
     }

@@ -4,7 +4,7 @@
 use crate::bindings::*;
 use crate::end::{MessageQueue, ReceivingEndpoint};
 use crate::error::{Error, Result};
-use crate::handle::{endpoint_name, exported, hand_out};
+use crate::handle::{endpoint_name, exported, handle};
 use crate::node::NodeOfEndpoint;
 use crate::on_new::Listeners;
 use crate::qos::{self, EndpointRole};
@@ -24,6 +24,8 @@ pub(crate) struct Service {
     listeners: Arc<Listeners>,
     end: Arc<ReceivingEndpoint<RawServer>>,
 }
+
+handle!(rmw_service_t, Service, "the service");
 
 impl MessageQueue for RawServer {
     const IS_TOPIC: bool = false;
@@ -141,7 +143,7 @@ exported! {
             listeners: listeners.of_responses(name),
             end: ReceivingEndpoint::new(node, raw, listeners.of_requests(name))?,
         };
-        hand_out(node, name, service, |_| ())
+        node.hand_out(name, service, |_| ())
     }
 
     fn rmw_destroy_service(node: *mut rmw_node_t => behind, service: *mut rmw_service_t) {

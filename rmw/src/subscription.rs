@@ -6,7 +6,7 @@ use crate::cdr::Length;
 use crate::end::ReceivingEndpoint;
 use crate::error::{Error, Result};
 use crate::event::{Happened, Sources};
-use crate::handle::{exported, gid_to_ros, hand_out, present};
+use crate::handle::{exported, gid_to_ros, handle, present};
 use crate::lend::{LentCount, lend};
 use crate::node::NodeOfEndpoint;
 use crate::qos::{self, EndpointRole};
@@ -40,6 +40,8 @@ pub(crate) struct Subscription {
     lent: LentCount,
     end: Arc<ReceivingEndpoint<RawSubscription>>,
 }
+
+handle!(rmw_subscription_t, Subscription, "the subscription");
 
 /// Maximum of invalid or ignored samples that one take skips; the subscription stays ready for the rest.
 const PASSED_OVER: usize = 16;
@@ -267,7 +269,7 @@ exported! {
             end: ReceivingEndpoint::new(node, raw, node.context().listeners.of(name))?,
         };
         // The fields for content filters stay false.
-        hand_out(node, name, subscription, |handle: &mut rmw_subscription_t| {
+        node.hand_out(name, subscription, |handle: &mut rmw_subscription_t| {
             (handle.options, handle.can_loan_messages) = (*options, can_loan_messages);
         })
     }

@@ -8,7 +8,7 @@ use crate::distro;
 use crate::error::{Error, Result, answer};
 use crate::event;
 use crate::guard::GuardCondition;
-use crate::handle::{IDENTIFIER, behind, exported, take_back};
+use crate::handle::{IDENTIFIER, behind, exported, handle, take_back};
 use crate::job::{self, Jobs};
 use crate::service::Service;
 use crate::signal::{Signal, Waiter};
@@ -28,6 +28,8 @@ pub(crate) struct WaitSet {
     is_measured: bool,
     in_use: AtomicBool,
 }
+
+handle!(rmw_wait_set_t, WaitSet, "the wait set");
 
 /// A thread's use of a wait set, until dropped.
 struct Turn<'a>(&'a AtomicBool);
@@ -277,7 +279,7 @@ impl Drop for Attached<'_> {
 
 exported! {
     fn rmw_create_wait_set(
-        context: *mut rmw_context_t => behind_context,
+        context: *mut rmw_context_t => behind,
         _max_conditions: usize,
     ) -> *mut rmw_wait_set_t {
         // SAFETY: no conditions.
