@@ -6,7 +6,9 @@ mod interface;
 pub(crate) mod introspection;
 
 use crate::bindings::*;
+use crate::cdr::Callbacks;
 use crate::error::{Error, Result};
+use crate::support::{self, KnownType, described_type, no_support};
 use std::ffi::{CString, c_char, c_void};
 
 #[cfg(humble)]
@@ -45,6 +47,20 @@ pub(crate) fn null_argument(what: &str) -> Error {
     }
 }
 
+/// A message type.
+///
+/// # Safety
+/// `support` is null or a type support.
+pub(crate) unsafe fn message(
+    support: *const rosidl_message_type_support_t,
+) -> Result<(Callbacks, KnownType)> {
+    // SAFETY: the caller's contract; callbacks of a type support of this name.
+    unsafe {
+        let found = support::find(support)?;
+        Ok((Callbacks::new(found.data), known_message(found, support)?))
+    }
+}
+
 /// Whether a loaded library has this function.
 fn is_loaded(function: &str) -> bool {
     unsafe extern "C" {
@@ -59,7 +75,6 @@ fn is_loaded(function: &str) -> bool {
 mod since_jazzy {
     use super::*;
     use crate::error::checked;
-    use crate::types::{KnownType, MessageType, described_type, no_support};
     use tautline_schema::{
         FieldDescription, FieldTypeDescription, IndividualTypeDescription, TypeDescription,
     };
@@ -129,7 +144,7 @@ mod since_jazzy {
 
     /// # Safety
     /// Both are type supports of one type.
-    pub(crate) unsafe fn message(
+    pub(crate) unsafe fn known_message(
         found: &rosidl_message_type_support_t,
         _asked: *const rosidl_message_type_support_t,
     ) -> Result<KnownType> {
@@ -144,20 +159,19 @@ mod since_jazzy {
     /// A service, its request and its response.
     ///
     /// # Safety
-    /// As [`message`].
+    /// As [`known_message`].
     pub(crate) unsafe fn service(
         found: &rosidl_service_type_support_t,
         _asked: *const rosidl_service_type_support_t,
-    ) -> Result<(KnownType, MessageType, MessageType)> {
+    ) -> Result<(KnownType, [(Callbacks, KnownType); 2])> {
         let (Some(hash), Some(description)) = (found.get_type_hash_func, found.get_type_description_func)
         else {
             return Err(no_support());
         };
-        // SAFETY: as in `message`; a service's messages have type supports.
+        // SAFETY: as in `known_message`; a service's messages have type supports.
         unsafe {
-            let request = MessageType::of(found.request_typesupport)?;
-            let response = MessageType::of(found.response_typesupport)?;
-            Ok((type_by_hash(hash(found), description(found))?, request, response))
+            let messages = [message(found.request_typesupport)?, message(found.response_typesupport)?];
+            Ok((type_by_hash(hash(found), description(found))?, messages))
         }
     }
 
@@ -241,8 +255,6 @@ mod since_jazzy {
 #[cfg(humble)]
 mod humble {
     use super::*;
-    use crate::cdr::Callbacks;
-    use crate::types::{KnownType, MessageType, described_type, no_support};
     use std::ffi::CStr;
 
     pub(crate) const LAST_SUBSCRIPTION_EVENT: rmw_event_type_t = RMW_EVENT_MESSAGE_LOST;
@@ -286,7 +298,7 @@ mod humble {
 
     /// # Safety
     /// Both are type supports of one type.
-    pub(crate) unsafe fn message(
+    pub(crate) unsafe fn known_message(
         _found: &rosidl_message_type_support_t,
         asked: *const rosidl_message_type_support_t,
     ) -> Result<KnownType> {
@@ -300,11 +312,11 @@ mod humble {
     /// A service, its request and its response.
     ///
     /// # Safety
-    /// As [`message`].
+    /// As [`known_message`].
     pub(crate) unsafe fn service(
         found: &rosidl_service_type_support_t,
         asked: *const rosidl_service_type_support_t,
-    ) -> Result<(KnownType, MessageType, MessageType)> {
+    ) -> Result<(KnownType, [(Callbacks, KnownType); 2])> {
         /// `service_type_support_callbacks_t` of rosidl_typesupport_fastrtps_cpp, whose header is for C++.
         #[repr(C)]
         struct Messages {
@@ -320,12 +332,14 @@ mod humble {
             let messages = &*found.data.cast::<Messages>();
             let members = &*members.data.cast::<rosidl_typesupport_introspection_c__ServiceMembers>();
             let of = |callbacks: *const rosidl_message_type_support_t, members| {
-                message_type(members).map(|known| MessageType::new(Callbacks::new((*callbacks).data), known))
+                message_type(members).map(|known| (Callbacks::new((*callbacks).data), known))
             };
-            let request = of(messages.request, members.request_members_)?;
-            let response = of(messages.response, members.response_members_)?;
+            let messages = [
+                of(messages.request, members.request_members_)?,
+                of(messages.response, members.response_members_)?,
+            ];
             let name = introspection::name(members.service_namespace_, members.service_name_);
-            Ok((described_type(name, || Ok(introspection::service(members)))?, request, response))
+            Ok((described_type(name, || Ok(introspection::service(members)))?, messages))
         }
     }
 

@@ -131,7 +131,7 @@ pub(crate) use handle;
 /// The data of a handle.
 ///
 /// # Safety
-/// `handle` is null, or points to an entity that an RMW created and has not destroyed.
+/// `handle` is null, or points to an entity that an RMW created and has not destroyed, or to a context that may be zero.
 pub(crate) unsafe fn behind<'h, H: Handle>(handle: *const H) -> Result<&'h H::Data> {
     // SAFETY: the caller's contract.
     let handle = unsafe { given(handle, H::WHAT)? };

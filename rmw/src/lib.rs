@@ -11,7 +11,7 @@
 //! | `wait` | wait sets; `signal`: what they sleep on; `end`: receiving endpoints, woken by publishers; `guard`: flags that any thread sets |
 //! | `event` | QoS events, received by the `helper`, a thread in place of the sampler; `callback`: callbacks of ROS; `on_new`: those for messages; `notifier`: the thread that calls them for other contexts |
 //! | `graph` | the graph |
-//! | `types` | type supports; `cdr`: their callbacks; `layout`: types with equal layout in memory and CDR; `serialization`: messages as bytes; `lend`: those in shared memory; `qos`: profiles |
+//! | `types` | types of messages and services; `support`: their type supports; `cdr`: callbacks of these; `layout`: types with equal layout in memory and CDR; `serialization`: messages as bytes; `lend`: those in shared memory; `qos`: profiles |
 //! | `distro` | what differs between distributions of ROS 2 |
 //! | `handle` | ROS's handles, and the other arguments: `exported!` has rmw's functions check them |
 //! | `unsupported` | unsupported functions |
@@ -44,6 +44,7 @@ mod serialization;
 mod service;
 mod signal;
 mod subscription;
+mod support;
 mod system;
 #[cfg(test)]
 mod tests;

@@ -1,21 +1,17 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Type supports: ROS's information about a type, converted for Tautline.
+//! Types of messages and services, converted for Tautline from ROS's type supports.
 
 use crate::bindings::*;
 use crate::cdr::{Callbacks, Length};
 use crate::distro;
 use crate::error::{Error, Result, without_text};
 use crate::layout;
-use std::collections::HashMap;
+use crate::support::{KnownType, SUPPORTS, no_support};
 use std::ffi::CStr;
 use std::ops::Range;
 use std::sync::Arc;
-use tautline_rt::fork::ProcessMutex;
-use tautline_schema::{Schema, TypeDescription};
+use tautline_schema::Schema;
 use tautline_transport::{Claim, Limits, ServiceType, TopicType};
-
-/// The type supports with Fast CDR callbacks, for C and C++ structs.
-const SUPPORTS: [&CStr; 2] = [c"rosidl_typesupport_fastrtps_c", c"rosidl_typesupport_fastrtps_cpp"];
 
 /// A message type.
 pub(crate) struct MessageType {
@@ -39,14 +35,11 @@ impl MessageType {
     /// # Safety
     /// `support` is null or a type support.
     pub(crate) unsafe fn of(support: *const rosidl_message_type_support_t) -> Result<Self> {
-        // SAFETY: the caller's contract; callbacks of a type support of this name.
-        unsafe {
-            let found = find(support)?;
-            Ok(Self::new(Callbacks::new(found.data), distro::message(found, support)?))
-        }
+        // SAFETY: the caller's contract.
+        unsafe { distro::message(support) }.map(Self::new)
     }
 
-    pub(crate) fn new(callbacks: Callbacks, known: KnownType) -> Self {
+    fn new((callbacks, known): (Callbacks, KnownType)) -> Self {
         let topic_type = TopicType::new(known.schema.name().to_string()).with_hash(known.hash);
         let topic_type = topic_type.with_definition(known.definition);
         // The generator calls a type plain if only its last field has the same position in CDR.
@@ -99,32 +92,6 @@ impl MessageType {
     }
 }
 
-/// The support with Fast CDR callbacks.
-///
-/// # Safety
-/// `support` is null or a type support.
-unsafe fn find<'s>(
-    support: *const rosidl_message_type_support_t,
-) -> Result<&'s rosidl_message_type_support_t> {
-    if support.is_null() {
-        return Err(Error::null("the type support"));
-    }
-    // SAFETY: a type support finds the requested one, or null.
-    let find = |name: &CStr| unsafe { get_message_typesupport_handle(support, name.as_ptr()).as_ref() };
-    without_text(|| SUPPORTS.into_iter().find_map(find)).ok_or_else(no_support)
-}
-
-impl Callbacks {
-    /// The callbacks of a type support.
-    ///
-    /// # Safety
-    /// `support` is null or a type support.
-    pub(crate) unsafe fn find(support: *const rosidl_message_type_support_t) -> Result<Self> {
-        // SAFETY: the caller's contract; the support has this name.
-        Ok(unsafe { Callbacks::new(find(support)?.data) })
-    }
-}
-
 /// Larger bounds are not reserved in advance.
 const LARGE_BYTES: usize = 1 << 20;
 /// Maximum of threads in a take at one endpoint, and of loaned messages.
@@ -141,7 +108,8 @@ impl ServiceSupport {
         let find = |name: &CStr| unsafe { get_service_typesupport_handle(support, name.as_ptr()).as_ref() };
         let found = without_text(|| SUPPORTS.into_iter().find_map(find)).ok_or_else(no_support)?;
         // SAFETY: the caller's contract.
-        let (known, request, response) = unsafe { distro::service(found, support)? };
+        let (known, messages) = unsafe { distro::service(found, support)? };
+        let [request, response] = messages.map(MessageType::new);
         let name = TopicType::new(known.schema.name().to_string());
         let service_type = ServiceType {
             request: name.with_hash(known.hash).with_definition(known.definition),
@@ -149,44 +117,4 @@ impl ServiceSupport {
         };
         Ok(ServiceSupport { request, response, service_type })
     }
-}
-
-pub(crate) fn no_support() -> Error {
-    Error::invalid(
-        "the type has no support of rosidl_typesupport_fastrtps_c or _cpp with what rmw_tautline needs of it: build its package \
-         with the ROS 2 that rmw_tautline is built with",
-    )
-}
-
-/// A type's information besides its structs.
-#[derive(Clone)]
-pub(crate) struct KnownType {
-    hash: String,
-    schema: Arc<Schema>,
-    definition: String,
-}
-
-/// Types found before.
-static KNOWN: ProcessMutex<Option<HashMap<String, KnownType>>> = ProcessMutex::new(None, || None);
-
-/// The type with this hash or, where types have none, this name.
-pub(crate) fn described_type(
-    key: String,
-    describe: impl FnOnce() -> Result<TypeDescription>,
-) -> Result<KnownType> {
-    let mut types = KNOWN.lock();
-    let types = types.get_or_insert_default();
-    if let Some(known) = types.get(&key) {
-        return Ok(known.clone());
-    }
-    let schema = Schema::from_description(&describe()?).map_err(Error::other)?;
-    let (name, hash) = (schema.name(), schema.hash().to_string());
-    if key != hash && key != name.to_string() {
-        return Err(Error::other(format!(
-            "the description of {name} does not match its hash: rebuild its package"
-        )));
-    }
-    let known = KnownType { definition: schema.to_text(), schema: Arc::new(schema), hash };
-    types.insert(key, known.clone());
-    Ok(known)
 }

@@ -15,7 +15,7 @@ use std::path::Path;
 const ROOMS: [&str; 6] = ["memory", "graph", "cleanup", "topic", "service", "observe"];
 
 /// The other crates without circles, as seen from this one. A crate joins the list when its last circle goes.
-const OTHERS: [&str; 25] = [
+const OTHERS: [&str; 26] = [
     "../analysis",
     "../bag",
     "../bridge-ros",
@@ -33,6 +33,7 @@ const OTHERS: [&str; 25] = [
     "../node/join",
     "../node/tautline-r2r",
     "../node/tf",
+    "../rmw",
     "../rt",
     "../sampler",
     "../system",

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Descriptions of types whose type supports have none, from the members of their structs.
 
-use super::*;
+use crate::bindings::*;
 use std::collections::BTreeMap;
-use std::ffi::CStr;
+use std::ffi::{CStr, c_char};
 use tautline_schema::{FieldDescription, FieldTypeDescription, IndividualTypeDescription, TypeDescription};
 
 type Message = rosidl_typesupport_introspection_c__MessageMembers;
