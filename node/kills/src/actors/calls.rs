@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Services, actions, and the parameter services of nodes: both ends.
 
-use super::Actor;
+use super::actor::Actor;
 use crate::Result;
 use crate::survivors::{ACTORS_ADD, ACTORS_FIBONACCI, ADD, PARAMETERS};
 use futures::StreamExt;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Containers, and processes that load components into them.
 
-use super::Actor;
+use super::actor::Actor;
 use crate::Result;
 use futures::executor::block_on;
 use std::os::unix::process::CommandExt;

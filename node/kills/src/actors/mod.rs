@@ -2,20 +2,19 @@
 //! The processes that are killed: each creates, uses and removes the same few topics, services and actions as others, repeatedly.
 //! A peer that has ended is an expected error; an object that cannot be created is a defect.
 
+mod actor;
 mod calls;
 mod components;
 mod topics;
 
 pub use components::check;
 
-use crate::{Result, survivors};
+use crate::Result;
+use actor::Actor;
 use clap::ValueEnum;
+use rand::SeedableRng;
 use rand::rngs::SmallRng;
-use rand::seq::IndexedRandom;
-use rand::{RngExt, SeedableRng};
-use std::thread;
-use std::time::Duration;
-use tautline::{Context, Node, Realtime};
+use tautline::{Context, Realtime};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Role {
@@ -50,46 +49,5 @@ pub fn play(name: &str, seed: u64) -> Result<()> {
         Role::Lifecycle => topics::live(&mut actor),
         Role::Container => Ok(()),
         Role::Loader => components::load(&mut actor),
-    }
-}
-
-struct Actor {
-    context: Context,
-    random: SmallRng,
-}
-
-impl Actor {
-    fn node(&mut self, name: &str) -> Result<Node> {
-        Ok(Node::create(self.context.clone(), name, "/actors")?)
-    }
-
-    fn spin(&self) -> survivors::Spinning {
-        survivors::spin(&self.context)
-    }
-
-    fn chance(&mut self, of: f64) -> bool {
-        self.random.random_bool(of)
-    }
-
-    fn up_to(&mut self, most: usize) -> usize {
-        self.random.random_range(0..=most)
-    }
-
-    fn one_of<T: Copy>(&mut self, all: &[T]) -> T {
-        *all.choose(&mut self.random).expect("one at least")
-    }
-
-    /// Leaves the core to others for a moment, or not.
-    fn rest(&mut self) {
-        if self.chance(0.7) {
-            thread::sleep(Duration::from_micros(self.random.random_range(0..2000)));
-        }
-    }
-
-    fn forget_one<T>(&mut self, things: &mut Vec<T>) {
-        if !things.is_empty() {
-            let which = self.up_to(things.len() - 1);
-            drop(things.swap_remove(which));
-        }
     }
 }

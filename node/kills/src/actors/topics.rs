@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Publishers and subscriptions of every kind, and managed nodes that have some.
 
-use super::Actor;
+use super::actor::Actor;
 use crate::Result;
 use crate::process::lock;
 use crate::survivors::{ALL, ALL_QOS, KEPT, KEPT_QOS, NUMBERS, NUMBERS_QOS, SHARED};
