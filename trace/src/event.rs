@@ -96,6 +96,25 @@ pub const fn gid_key([low, high]: [u64; 2]) -> u64 {
     low ^ high.rotate_left(32)
 }
 
+/// What identifies a message.
+#[derive(Clone, Copy, Debug)]
+pub struct MessageId {
+    /// Counts the publisher's messages.
+    pub sequence_number: u64,
+    /// When it was published: nanoseconds since 1970.
+    pub source_timestamp_ns: i64,
+    /// Its publisher.
+    pub gid: [u64; 2],
+    /// The address of its body in this process.
+    pub address: usize,
+}
+
+impl MessageId {
+    pub(crate) fn arguments(&self) -> [u64; 3] {
+        [self.sequence_number, self.source_timestamp_ns.cast_unsigned(), gid_key(self.gid)]
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -3,20 +3,12 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use crate::event::{Event, EventKind, ObjectId, gid_key};
+use crate::event::{Event, EventKind, MessageId, ObjectId, gid_key};
 use crate::init::SamplerObject;
 #[cfg(feature = "lttng")]
 use crate::lttng;
 use crate::thread::{self, EventSink};
-use core::sync::atomic::{AtomicBool, Ordering};
 use tautline_rt::clock::monotonic_ns;
-
-/// Whether this process's rings record. Relaxed: a few events more or less around the switch do not matter.
-static ON: AtomicBool = AtomicBool::new(false);
-
-pub(crate) fn switch(on: bool) {
-    ON.store(on, Ordering::Relaxed);
-}
 
 /// Whether events are recorded: in this process's rings, or by LTTng where that is compiled in.
 ///
@@ -24,13 +16,13 @@ pub(crate) fn switch(on: bool) {
 /// Wait-free; no allocation; no syscall.
 #[inline(always)]
 pub fn is_on() -> bool {
-    cfg!(feature = "lttng") || ON.load(Ordering::Relaxed)
+    cfg!(feature = "lttng") || thread::is_on()
 }
 
 /// Records, if rings record.
 #[inline(always)]
 fn record(kind: EventKind, object: ObjectId, arguments: impl FnOnce() -> [u64; 3]) {
-    if ON.load(Ordering::Relaxed) {
+    if thread::is_on() {
         push(kind, object, arguments());
     }
 }
@@ -50,25 +42,6 @@ fn push(kind: EventKind, object: ObjectId, arguments: [u64; 3]) {
             unrecorded.fetch_add(1, crate::sync::Ordering::Relaxed);
         }
         EventSink::Nowhere => {}
-    }
-}
-
-/// What identifies a message.
-#[derive(Clone, Copy, Debug)]
-pub struct MessageId {
-    /// Counts the publisher's messages.
-    pub sequence_number: u64,
-    /// When it was published: nanoseconds since 1970.
-    pub source_timestamp_ns: i64,
-    /// Its publisher.
-    pub gid: [u64; 2],
-    /// The address of its body in this process.
-    pub address: usize,
-}
-
-impl MessageId {
-    fn arguments(&self) -> [u64; 3] {
-        [self.sequence_number, self.source_timestamp_ns.cast_unsigned(), gid_key(self.gid)]
     }
 }
 

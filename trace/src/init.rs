@@ -2,11 +2,12 @@
 //! Descriptions that are recorded once, when an object is created. Setup only: these functions take a lock
 //! and allocate.
 
+use crate::description::ObjectKind;
 use crate::event::ObjectId;
 #[cfg(feature = "lttng")]
 use crate::lttng;
-use crate::object::{Object, ObjectKind};
-use crate::thread::register_thread;
+use crate::object::Object;
+use crate::register::register_thread;
 use std::cell::Cell;
 
 thread_local!(static NODE: Cell<ObjectId> = const { Cell::new(ObjectId::NONE) });

@@ -37,6 +37,7 @@
 //! ```
 
 mod control;
+mod description;
 mod error;
 mod event;
 mod hot;
@@ -47,24 +48,26 @@ mod lttng;
 mod object;
 mod process;
 mod recorder;
+mod register;
 mod ring;
 mod settings;
 mod sync;
 mod thread;
 
 pub use control::is_trace_file;
+pub use description::{Description, ObjectKind};
 pub use error::TraceError;
-pub use event::{Event, EventKind, ObjectId, gid_key};
+pub use event::{Event, EventKind, MessageId, ObjectId, gid_key};
 pub use hot::{
-    MessageId, callback_end, callback_start, is_on, pass, publish, receive, spin_end, spin_start,
-    spin_timeout, spin_wake, take,
+    callback_end, callback_start, is_on, pass, publish, receive, spin_end, spin_start, spin_timeout,
+    spin_wake, take,
 };
 pub use init::{
     NodeScope, SamplerObject, callback_init, context_init, in_node, node_init, publisher_init, sampler_init,
     sender_init, subscription_callback_init, subscription_init, timer_callback_init, timer_init,
 };
-pub use object::{Description, Object, ObjectKind};
+pub use object::Object;
 pub use process::{Membership, attend, configure, join, leave_at_exit};
 pub use recorder::{Record, Recorder, remove_dead_files, remove_dead_files_in};
+pub use register::{register_thread, register_thread_as};
 pub use settings::{TraceMode, TraceSettings};
-pub use thread::{register_thread, register_thread_as};

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The events as LTTng-UST tracepoints: the functions of `lttng/provider.c`.
 
-use crate::event::ObjectId;
-use crate::hot::MessageId;
+use crate::event::{MessageId, ObjectId};
 use std::cell::Cell;
 use std::ffi::{CString, c_char, c_void};
 use std::sync::atomic::{AtomicU64, Ordering};

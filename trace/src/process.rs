@@ -5,10 +5,9 @@
 //! thread may keep a reference to its ring forever.
 
 use crate::control::{self, RecorderRequest};
+use crate::description::{Description, FreeEntries};
 use crate::error::TraceError;
-use crate::hot;
 use crate::layout::{Map, RINGS, name_to_words, state};
-use crate::object::{Description, FreeEntries};
 use crate::recorder;
 use crate::ring::Ring;
 use crate::settings::{TraceMode, TraceSettings};
@@ -128,7 +127,7 @@ impl Process {
             if settings.mode == TraceMode::On { state::ALWAYS } else { state::OFF },
             Ordering::Relaxed,
         );
-        hot::switch(settings.mode == TraceMode::On);
+        thread::switch(settings.mode == TraceMode::On);
         own.attend();
         self.file = Some(own);
         Ok(())
@@ -168,7 +167,7 @@ impl OwnTraceFile {
                     // Drops events of threads that checked the switch before it went off: they do not belong to the next recording.
                     self.discard();
                 }
-                hot::switch(wanted == state::ASKED);
+                thread::switch(wanted == state::ASKED);
                 if asked == RecorderRequest::Nothing {
                     // The recorder was killed. Events that it left would appear in the next recording.
                     self.discard();
@@ -253,7 +252,7 @@ impl OwnTraceFile {
 
     /// Keeps the file if it has unfetched events: for the recorder that requested them, or for any if it recorded from the start.
     fn leave(&self) {
-        hot::switch(false);
+        thread::switch(false);
         let wanted =
             self.mode == TraceMode::On || control::recorder_request(self.domain) != RecorderRequest::Nothing;
         if !wanted || self.map.is_drained() {

@@ -2,10 +2,10 @@
 //! The recorder's side: finds the processes of a domain, switches their recording on, fetches their events.
 
 use crate::control::{self, RecorderLock, RecorderRequest};
+use crate::description::{self, Description};
 use crate::error::TraceError;
 use crate::event::Event;
 use crate::layout::{Map, RINGS, state, words_to_name};
-use crate::object::{self, Description};
 use crate::sync::Ordering;
 use std::collections::{HashMap, HashSet};
 use std::io;
@@ -300,7 +300,7 @@ impl Peer {
             return;
         }
         self.described = described;
-        for (index, turn, object) in object::entries(self.map) {
+        for (index, turn, object) in description::entries(self.map) {
             if self.turns.insert(index, turn) != Some(turn) {
                 sink(Record::Object { process: self.number, object: &object });
             }

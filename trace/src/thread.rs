@@ -3,8 +3,8 @@
 
 use crate::layout::{Map, RINGS, name_to_words};
 use crate::ring::Ring;
-use crate::{process, sync};
-use core::sync::atomic::{AtomicPtr, AtomicU64, Ordering};
+use crate::sync;
+use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU64, Ordering};
 use rustix::fs::{Mode, OFlags};
 use std::cell::Cell;
 
@@ -20,6 +20,19 @@ pub(crate) enum EventSink {
 thread_local! {
     // The place and its generation. Needs no destructor: the ring of an ended thread is given back by `process::attend`.
     static PLACE: Cell<(u64, EventSink)> = const { Cell::new((0, EventSink::Nowhere)) };
+}
+
+/// Whether rings record. Relaxed: a few events more or less around the switch do not matter.
+static ON: AtomicBool = AtomicBool::new(false);
+
+pub(crate) fn switch(on: bool) {
+    ON.store(on, Ordering::Relaxed);
+}
+
+/// Whether this process's rings record.
+#[inline(always)]
+pub(crate) fn is_on() -> bool {
+    ON.load(Ordering::Relaxed)
 }
 
 /// Counts the files that this process has had; zero before the first. A ring belongs to one of them.
@@ -43,32 +56,8 @@ pub(crate) fn generation() -> u64 {
     GENERATION.load(Ordering::Relaxed)
 }
 
-/// Claims a ring for the current thread under its name, and touches all of it: after that its events cost no syscall. A
-/// thread that creates a publisher or a subscription, and a callback's thread, do this automatically; any other thread
-/// does it with its first event, if a ring is free.
-///
-/// # Real-time
-/// Setup: some syscalls and page faults. Once the thread has a ring: wait-free, no syscall.
-pub fn register_thread() {
-    register_thread_as("");
-}
-
-/// Like [`register_thread`], with a name of at most 15 bytes.
-///
-/// # Real-time
-/// As [`register_thread`].
-pub fn register_thread_as(name: &str) {
-    if !matches!(cached(), Some(EventSink::Ring(_))) {
-        process::with_spare_ring(|| _ = place());
-    }
-    if let EventSink::Ring(ring) = place()
-        && !name.is_empty()
-    {
-        set_name(ring, name.as_bytes());
-    }
-}
-
-fn cached() -> Option<EventSink> {
+/// What [`place`] found before, if that holds for the current file.
+pub(crate) fn cached() -> Option<EventSink> {
     PLACE.try_with(Cell::get).ok().filter(|(of, _)| *of == generation()).map(|(_, place)| place)
 }
 
@@ -111,7 +100,7 @@ fn find_place() -> EventSink {
     EventSink::Ring(ring)
 }
 
-fn set_name(ring: Ring<'_>, name: &[u8]) {
+pub(crate) fn set_name(ring: Ring<'_>, name: &[u8]) {
     for (to, from) in ring.head.name.iter().zip(name_to_words(name)) {
         to.store(from, Ordering::Relaxed);
     }

@@ -15,7 +15,7 @@ use std::path::Path;
 const ROOMS: [&str; 6] = ["memory", "graph", "cleanup", "topic", "service", "observe"];
 
 /// The other crates without circles, as seen from this one. A crate joins the list when its last circle goes.
-const OTHERS: [&str; 26] = [
+const OTHERS: [&str; 28] = [
     "../analysis",
     "../bag",
     "../bridge-ros",
@@ -31,12 +31,14 @@ const OTHERS: [&str; 26] = [
     "../node/components",
     "../node/derive",
     "../node/join",
+    "../node/kills",
     "../node/tautline-r2r",
     "../node/tf",
     "../rmw",
     "../rt",
     "../sampler",
     "../system",
+    "../trace",
     "definitions",
     "doorbell",
     "relay",
