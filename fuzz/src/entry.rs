@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The bundled types as values; owned messages and views.
+//! The bundled types as values; owned messages, views, and messages written in place.
 
 use std::fmt::{self, Debug, Write};
 
@@ -8,7 +8,7 @@ use tautline_msgs::{Body, Message};
 
 use crate::allocations::Limit;
 use crate::input::Input;
-use crate::memory::Memory;
+use crate::memory::{Memory, encode};
 
 /// What can be done with a type.
 pub struct Entry {
@@ -72,14 +72,6 @@ fn decode<T: Message>(body: &[u8], endian: Endian) -> Option<Vec<u8>> {
     }
 }
 
-/// The body, in memory that is not a byte longer.
-pub fn encode<T: Message>(message: &T) -> Vec<u8> {
-    let len = message.cdr_len();
-    let mut memory = Memory::new(len, 0xaa);
-    assert_eq!(Limit::NONE.check(0, || message.encode(memory.bytes_mut())), Ok(len));
-    memory.bytes().to_vec()
-}
-
 /// Reads a body in place.
 pub fn view(input: &[u8]) {
     let Some(input) = Input::new(input) else { return };
@@ -107,6 +99,12 @@ where
         (Ok(()), Err(error)) => panic!("a view of what is not decoded: {error}"),
         (Err(error), Ok(_)) => panic!("no view of what is decoded: {error}"),
     }
+}
+
+/// Writes a message of a bundled type in place.
+pub fn fill(input: &[u8]) {
+    let Some(input) = Input::new(input) else { return };
+    (input.choose(entries()).fill)(&input);
 }
 
 struct Nowhere;

@@ -7,15 +7,8 @@ use bumpalo::Bump;
 use tautline_msgs::Message;
 use tautline_msgs::cdr::{self, Endian, Fill, Piece, SizeSource};
 
-use crate::entry::{encode, entries};
 use crate::input::Input;
-use crate::memory::Memory;
-
-/// Writes a message of a bundled type in place.
-pub fn fill(input: &[u8]) {
-    let Some(input) = Input::new(input) else { return };
-    (input.choose(entries()).fill)(&input);
-}
+use crate::memory::{Memory, encode};
 
 /// The most elements with sizes of their own.
 const MOST: usize = 64;

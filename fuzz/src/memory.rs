@@ -4,6 +4,10 @@
 use std::alloc::{self, Layout};
 use std::ptr::NonNull;
 
+use tautline_msgs::Message;
+
+use crate::allocations::Limit;
+
 /// Bytes that start at a multiple of 8.
 pub struct Memory {
     start: NonNull<u8>,
@@ -49,4 +53,12 @@ impl Drop for Memory {
         // SAFETY: allocated by `new` with this layout.
         unsafe { alloc::dealloc(self.start.as_ptr(), Self::layout(self.len)) }
     }
+}
+
+/// The body of a message, in memory that is not a byte longer.
+pub fn encode<T: Message>(message: &T) -> Vec<u8> {
+    let len = message.cdr_len();
+    let mut memory = Memory::new(len, 0xaa);
+    assert_eq!(Limit::NONE.check(0, || message.encode(memory.bytes_mut())), Ok(len));
+    memory.bytes().to_vec()
 }
