@@ -2,8 +2,8 @@
 //! Action clients.
 
 use super::goals::cancel_code;
+use super::names::{FEEDBACK_DEPTH, Names, status_qos};
 use super::state::{GoalStatus, SharedStatus};
-use super::{FEEDBACK_DEPTH, Names, status_qos};
 use crate::error::{Error, Result};
 use crate::node::Node;
 use crate::service::Client;

@@ -4,6 +4,7 @@
 
 mod client;
 mod goals;
+mod names;
 mod server;
 mod state;
 #[cfg(feature = "untyped")]
@@ -18,8 +19,8 @@ use crate::error::Error;
 use crate::error::Result;
 use crate::node::Node;
 use futures::Stream;
+use names::{Names, feedback_qos};
 use tautline_msgs::Action;
-use tautline_transport::Qos;
 
 /// Each action server and each action client has a callback of its own, on a thread of ordinary priority named after the
 /// action, which responds to requests and receives messages while goals are executed elsewhere.
@@ -97,43 +98,4 @@ impl Node {
         let feedback = self.subscribe(&names.feedback, feedback_qos())?;
         ActionClient::create(self, &action, send_goal, get_result, feedback)
     }
-}
-
-/// The services and topics of an action.
-struct Names {
-    send_goal: String,
-    cancel_goal: String,
-    get_result: String,
-    feedback: String,
-    status: String,
-}
-
-impl Names {
-    fn of(action: &str) -> Self {
-        let part = |part: &str| format!("{action}/_action/{part}");
-        Names {
-            send_goal: part("send_goal"),
-            cancel_goal: part("cancel_goal"),
-            get_result: part("get_result"),
-            feedback: part("feedback"),
-            status: part("status"),
-        }
-    }
-}
-
-/// Queue depth of a client's subscription to feedback, and of one goal's feedback for its reader.
-const FEEDBACK_DEPTH: usize = 1000;
-
-fn feedback_qos() -> Qos {
-    Qos::keep_last(FEEDBACK_DEPTH)
-}
-
-/// The QoS of a server's services and feedback: many results may be awaited at once.
-fn qos() -> Qos {
-    Qos::keep_last(100)
-}
-
-/// The QoS of the status: the newest one, also for late joiners.
-fn status_qos() -> Qos {
-    Qos::keep_last(1).transient_local()
 }

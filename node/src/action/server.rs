@@ -2,8 +2,8 @@
 //! Action servers.
 
 use super::goals::{Goals, MAX_WAITING, ResultOf, Stamp, cancel_code};
+use super::names::{Names, qos, status_qos};
 use super::state::{GoalEvent, GoalStatus, SharedStatus};
-use super::{Names, qos, status_qos};
 use crate::error::{Error, Result};
 use crate::node::Node;
 use crate::service::{Reply, ServiceRequest};

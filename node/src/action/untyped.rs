@@ -2,8 +2,8 @@
 //! Actions whose type is known by name: goals, results and feedback as JSON.
 
 use super::client::{ActionClient, ActionCodec};
+use super::names::{Names, feedback_qos};
 use super::state::GoalStatus;
-use super::{Names, feedback_qos};
 use crate::error::Result;
 use crate::node::Node;
 use crate::untyped::Json;
