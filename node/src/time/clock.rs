@@ -144,4 +144,11 @@ impl Clock {
     }
 }
 
+impl TimeSource {
+    /// A clock that shows the time of the node's ROS clock.
+    pub fn clock(&self) -> Clock {
+        Clock::of_source(self.clone())
+    }
+}
+
 tautline_rt::debug_fields!(Clock, |this| kind = this.kind);

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A node's clock, and timers on it.
 
-use super::{Clock, RosTimer, TimeSource};
+use super::clock::Clock;
+use super::source::TimeSource;
+use super::timer::RosTimer;
 #[allow(unused_imports, reason = "for the documentation")]
 use crate::error::Error;
 use crate::error::Result;

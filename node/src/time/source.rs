@@ -4,7 +4,6 @@
 //! It needs no thread. A thread that reads the time, or waits for it, reads the new messages of `/clock`; the sampler
 //! wakes all waiting tasks when a message has arrived.
 
-use super::Clock;
 use crate::error::{Error, Result};
 use futures::task::{ArcWake, AtomicWaker, waker};
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
@@ -158,11 +157,6 @@ impl TimeSource {
             callbacks: PiMutex::new(Callbacks::default()),
         };
         TimeSource { shared: Arc::new(shared) }
-    }
-
-    /// A clock that shows the time of the node's ROS clock.
-    pub fn clock(&self) -> Clock {
-        Clock::of_source(self.clone())
     }
 
     /// Switches to the time of `/clock`.
