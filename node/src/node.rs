@@ -164,7 +164,7 @@ impl Node {
         let parameters = Parameters::new(given, events);
         let logger = Logger::of_node(&full_name);
         if ctx.shared.arguments.outputs.rosout != Some(false) {
-            logging::add_topic(&logger, Arc::downgrade(&ctx.shared.rosout));
+            logger.add_topic(Arc::downgrade(&ctx.shared.rosout));
         }
         let limits = HashMap::new();
         #[cfg(feature = "rosgraph_msgs")]

@@ -5,8 +5,8 @@
 //! `{time_as_nanoseconds}`, `{name}`, `{message}`, `{file_name}` and `{line_number}`; `RCUTILS_COLORIZED_OUTPUT` is 0 or 1;
 //! with `RCUTILS_LOGGING_USE_STDOUT=1` lines go to standard output.
 
-use super::LogSeverity;
 use super::line::Line;
+use super::severity::LogSeverity;
 use std::io::{IsTerminal, Write};
 use std::sync::OnceLock;
 

@@ -2,8 +2,8 @@
 //! Writes the events of `tracing` macros as lines of the log.
 
 use super::line::{Line, floor_char_boundary};
-use super::severity::LEVELS;
-use super::{LogSeverity, output};
+use super::output;
+use super::severity::{LEVELS, LogSeverity};
 use std::fmt;
 use tautline_rt::clock::wall_ns;
 use tracing::field::{Field, Visit};

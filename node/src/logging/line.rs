@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A line of the log, and its fixed-size form.
 
-use super::LogSeverity;
+use super::severity::LogSeverity;
 use std::fmt::{self, Write};
 
 /// Bytes for a line's logger and text where it must not allocate.

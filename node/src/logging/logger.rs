@@ -2,8 +2,9 @@
 //! Loggers, and the functions behind the macros.
 
 use super::line::Line;
-use super::severity::LEVELS;
-use super::{LogSeverity, output};
+use super::output;
+use super::rosout::Rosout;
+use super::severity::{LEVELS, LogSeverity};
 use std::fmt;
 use std::hash::{Hash, Hasher};
 use std::ops::Deref;
@@ -67,9 +68,9 @@ impl Logger {
         Logger { name, life: Life::default() }
     }
 
-    /// A reference that dangles after the last clone and child of this logger are dropped.
-    pub(super) fn life(&self) -> Weak<()> {
-        Arc::downgrade(&self.life.0)
+    /// Publishes the lines of a node's logger on this topic, as long as the logger or one below it exists.
+    pub(crate) fn add_topic(&self, topic: Weak<Rosout>) {
+        output::add_topic(&self.name, topic, Arc::downgrade(&self.life.0));
     }
 
     /// Its name.

@@ -41,11 +41,10 @@ pub use severity::LogSeverity;
 #[doc(hidden)]
 pub use logger::Site;
 
-pub(crate) use output::{FlushOnDrop, add_topic, start};
+pub(crate) use output::{FlushOnDrop, start};
 pub(crate) use rosout::Rosout;
 
 use crate::args::Arguments;
-use line::Line;
 use std::sync::atomic::Ordering;
 
 /// Sets the minimum severity of lines of loggers without their own level.

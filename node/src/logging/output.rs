@@ -2,11 +2,11 @@
 //! The outputs of log lines: the console and `/rosout`; and the thread that writes the lines of real-time
 //! threads there.
 
+use super::console;
 use super::line::{FixedLine, Line};
 use super::rings::{self, Drain, LINES, Lost};
 use super::rosout::Rosout;
-use super::severity::is_below;
-use super::{LogSeverity, Logger, console};
+use super::severity::{LogSeverity, is_below};
 use std::cell::Cell;
 use std::fmt;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -103,13 +103,13 @@ fn write_for_ever() {
     }
 }
 
-/// Publishes the lines of a node's logger on this topic, as long as the logger or one below it exists.
-pub(crate) fn add_topic(logger: &Logger, topic: Weak<Rosout>) {
+/// Publishes the lines of the node with this logger on this topic, until `life` dangles.
+pub(super) fn add_topic(logger: &str, topic: Weak<Rosout>, life: Weak<()>) {
     let mut writing = Writing::begin();
     // The lines of nodes that have ended are written before their topics are removed.
     writing.drain();
     writing.sink.topics.retain(OfNode::is_used);
-    writing.sink.topics.push(OfNode { logger: logger.name().to_owned(), topic, life: logger.life() });
+    writing.sink.topics.push(OfNode { logger: logger.to_owned(), topic, life });
 }
 
 pub(super) fn log(line: Line<'_>, text: fmt::Arguments<'_>) {
@@ -208,6 +208,7 @@ impl Drop for FlushOnDrop {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::logging::Logger;
     use tautline_transport::Participant;
 
     #[test]
@@ -216,7 +217,7 @@ mod tests {
         let names = || SINK.lock().topics.iter().map(|of| of.logger.clone()).collect::<Vec<_>>();
         let add = |name: &str| {
             let logger = Logger::of_node(name);
-            add_topic(&logger, Arc::downgrade(&rosout));
+            logger.add_topic(Arc::downgrade(&rosout));
             logger
         };
         let robot = add("/robot");

@@ -5,7 +5,8 @@
 //! Rings are created ahead of time, by threads that may wait; a real-time thread claims one with its first line. When the
 //! ring of an ended thread is empty, another thread may claim it.
 
-use super::line::FixedLine;
+use super::line::{FixedLine, Line};
+use super::severity::LogSeverity;
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::cell::Cell;
 use std::path::Path;
@@ -151,9 +152,9 @@ impl Drain {
         for ring in RINGS_OF_THREADS.iter().skip(self.consumers.len()).take(SPARE.saturating_sub(spare)) {
             let (mut producer, mut consumer) = RingBuffer::new(LINES);
             // Filled once, so that it causes no page faults later.
-            let line = super::Line {
+            let line = Line {
                 time_ns: 0,
-                severity: super::LogSeverity::Unset,
+                severity: LogSeverity::Unset,
                 logger: "",
                 text: "",
                 file: "",
@@ -209,7 +210,6 @@ impl Drain {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Line, LogSeverity};
     use super::*;
 
     fn line(number: usize) -> FixedLine {

@@ -1,21 +1,17 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `/rosout`: publishes the log lines of a context's nodes.
 
-use super::line::Line;
-use tautline_transport::Participant;
-
 #[cfg(feature = "rcl_interfaces")]
 pub(crate) use topic::Rosout;
 
 #[cfg(feature = "rcl_interfaces")]
 mod topic {
-    use super::super::line::floor_char_boundary;
-    use super::{Line, Participant};
     use crate::Qos;
+    use crate::logging::line::{Line, floor_char_boundary};
     use std::sync::{Mutex, PoisonError};
     use tautline_ros_msgs::builtin_interfaces::msg::Time;
     use tautline_ros_msgs::rcl_interfaces::msg::Log;
-    use tautline_transport::{Claim, Limits, Publisher, TransportError};
+    use tautline_transport::{Claim, Limits, Participant, Publisher, TransportError};
 
     /// ROS 2's depth. A line is one of our own fixed size, or shortened.
     const DEPTH: usize = 1000;
@@ -71,9 +67,9 @@ pub(crate) struct Rosout;
 
 #[cfg(not(feature = "rcl_interfaces"))]
 impl Rosout {
-    pub(crate) fn new(_participant: Participant) -> Rosout {
+    pub(crate) fn new(_participant: tautline_transport::Participant) -> Rosout {
         Rosout
     }
 
-    pub(super) fn publish(&self, _line: &Line<'_>) {}
+    pub(super) fn publish(&self, _line: &super::line::Line<'_>) {}
 }

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The two services with which other nodes read and set the levels of loggers.
 
-use super::LogSeverity;
-use super::severity::LEVELS;
+use super::severity::{LEVELS, LogSeverity};
 use crate::error::Result;
 use crate::node::Node;
 use futures::FutureExt;
