@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The description of a parameter.
 
-use super::{ParameterError, ParameterValue};
+use super::error::ParameterError;
+use super::value::ParameterValue;
 use std::fmt;
 use std::ops::RangeInclusive;
 

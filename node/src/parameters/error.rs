@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
-use super::ParameterValue;
+use super::value::{ParameterType, ParameterValue, UnknownParameterType};
 use std::path::PathBuf;
 
 /// Why a parameter was not declared, read or set.
@@ -34,7 +34,7 @@ pub enum ParameterError {
     InvalidValue { text: String, reason: String },
     /// A message contains an unknown type.
     #[error("parameter '{name}': {source}")]
-    UnknownType { name: String, source: super::UnknownParameterType },
+    UnknownType { name: String, source: UnknownParameterType },
     /// A number does not fit the type of the struct's field.
     #[error("parameter '{name}': {value} does not fit: {reason}")]
     Conversion { name: String, value: ParameterValue, reason: String },
@@ -83,12 +83,12 @@ impl ParameterError {
 
     pub(crate) fn wrong_type(
         name: &str,
-        expected: super::ParameterType,
+        expected: ParameterType,
         value: &ParameterValue,
     ) -> ParameterError {
         let hint = match (expected, value) {
-            (super::ParameterType::Double, ParameterValue::Integer(_)) => Some("write a double with a point"),
-            (super::ParameterType::String, _) => Some("quote a string"),
+            (ParameterType::Double, ParameterValue::Integer(_)) => Some("write a double with a point"),
+            (ParameterType::String, _) => Some("quote a string"),
             _ => None,
         };
         let (name, value) = (name.to_owned(), value.clone());

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `/parameter_events`: each change of a parameter of any node.
 
-use super::ParameterValue;
+use super::value::ParameterValue;
 use std::sync::Arc;
-use tautline_transport::Participant;
 
 /// The effects of one change on parameters.
 #[derive(Clone, Copy, Debug, Default)]
@@ -49,12 +48,13 @@ pub(crate) use topic::EventTopic;
 
 #[cfg(feature = "rcl_interfaces")]
 mod topic {
-    use super::{Changes, ParameterValue, Participant};
     use crate::Qos;
+    use crate::parameters::events::Changes;
+    use crate::parameters::value::ParameterValue;
     use std::sync::{Mutex, PoisonError};
     use tautline_ros_msgs::builtin_interfaces::msg::Time;
     use tautline_ros_msgs::rcl_interfaces::msg::{Parameter, ParameterEvent};
-    use tautline_transport::{Claim, Limits, Publisher, TransportError};
+    use tautline_transport::{Claim, Limits, Participant, Publisher, TransportError};
 
     /// A context's publisher, created with the first change.
     pub(crate) struct EventTopic {
@@ -121,7 +121,7 @@ pub(crate) struct EventTopic;
 
 #[cfg(not(feature = "rcl_interfaces"))]
 impl EventTopic {
-    pub(crate) fn new(_participant: Participant) -> EventTopic {
+    pub(crate) fn new(_participant: tautline_transport::Participant) -> EventTopic {
         EventTopic
     }
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The six parameter services of a node, as in r2r.
 
-use super::ParameterValue;
 use super::services::{self, Changed};
+use super::value::ParameterValue;
 use crate::error::Result;
 use crate::node::Node;
 use futures::channel::mpsc;

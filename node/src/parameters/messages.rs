@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Parameter values in the form of `rcl_interfaces`.
 
-use super::{ParameterValue, UnknownParameterType};
+use super::value::{ParameterValue, UnknownParameterType};
 use tautline_ros_msgs::rcl_interfaces::msg;
 
 impl From<&ParameterValue> for msg::ParameterValue {

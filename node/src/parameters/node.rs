@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A node's functions for its parameters.
 
-use super::{
-    Parameter, ParameterDescriptor, ParameterError, ParameterMap, ParameterReader, ParameterValue,
-    ParameterVariant, Parameters, WrongParameterType, yaml,
-};
+use super::descriptor::ParameterDescriptor;
+use super::error::ParameterError;
+use super::parameter::Parameter;
+use super::reader::ParameterReader;
+use super::store::{ParameterMap, Parameters};
+use super::value::{ParameterValue, ParameterVariant, WrongParameterType};
+use super::yaml;
 use crate::error::Result;
 use crate::node::Node;
 use std::path::Path;

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A parameter as the node keeps it.
 
-use super::{ParameterDescriptor, ParameterError, ParameterValue};
+use super::descriptor::ParameterDescriptor;
+use super::error::ParameterError;
+use super::value::ParameterValue;
 
 /// A parameter of a node.
 #[derive(Debug, Clone, PartialEq, Default)]

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Structs whose fields are parameters.
 
-use super::{Parameter, ParameterError, ParameterValue};
+use super::error::ParameterError;
+use super::parameter::Parameter;
+use super::value::{ParameterType, ParameterValue};
 use crate::error::Result;
 use indexmap::IndexMap;
 use std::fmt::Display;
@@ -90,7 +92,7 @@ macro_rules! leaf {
                     if given.declared {
                         return Err(ParameterError::AlreadyDeclared { name: prefix.to_owned() }.into());
                     }
-                    let given = given.value.clone().of_type(super::ParameterType::$variant);
+                    let given = given.value.clone().of_type(ParameterType::$variant);
                     field(self.set_parameter("", &given), prefix)?;
                     // Put in again below, in the order of the fields.
                     params.shift_remove(prefix);
@@ -126,7 +128,7 @@ macro_rules! leaf {
                         Err(reason) => Err(does_not_fit(param_val, reason)),
                     },
                     _ => {
-                        Err(ParameterError::wrong_type("", super::ParameterType::$variant, param_val).into())
+                        Err(ParameterError::wrong_type("", ParameterType::$variant, param_val).into())
                     }
                 }
             }

@@ -1,7 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The responses of a node's parameter services.
 
-use super::{ParameterDescriptor, ParameterError, ParameterRange, ParameterType, ParameterValue, Parameters};
+use super::descriptor::{ParameterDescriptor, ParameterRange};
+use super::error::ParameterError;
+use super::store::Parameters;
+use super::value::{ParameterType, ParameterValue};
 use crate::error::Result;
 use tautline_ros_msgs::rcl_interfaces::msg::{self, ListParametersResult, SetParametersResult};
 use tautline_ros_msgs::rcl_interfaces::srv::{

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A node's parameters, which any thread may declare and set.
 
+use super::descriptor::ParameterDescriptor;
+use super::error::ParameterError;
 use super::events::{Changes, ParameterEvents};
-use super::reader::Feed;
-use super::{
-    Parameter, ParameterDescriptor, ParameterError, ParameterReader, ParameterType, ParameterValue,
-    ParameterVariant, RosParams, WrongParameterType,
-};
+use super::parameter::Parameter;
+use super::reader::{Feed, ParameterReader};
+use super::ros_params::RosParams;
+use super::value::{ParameterType, ParameterValue, ParameterVariant, WrongParameterType};
 use crate::error::Result;
 #[cfg(feature = "rosgraph_msgs")]
 use crate::time::TimeSource;

@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The values and types of parameters.
 
-use super::ParameterError;
 use std::fmt;
-use std::str::FromStr;
 
 /// The value of a parameter.
 #[derive(Debug, PartialEq, Clone, Default)]
@@ -90,24 +88,6 @@ impl ParameterValue {
             }
             (value, _) => value,
         }
-    }
-}
-
-/// Reads a value as `-p name:=value` does: by YAML's rules.
-///
-/// ```
-/// use tautline::ParameterValue;
-///
-/// assert_eq!("1.5".parse(), Ok(ParameterValue::Double(1.5)));
-/// assert_eq!("[1, 2]".parse(), Ok(ParameterValue::IntegerArray(vec![1, 2])));
-/// assert!("[1, x]".parse::<ParameterValue>().is_err());
-/// ```
-impl FromStr for ParameterValue {
-    type Err = ParameterError;
-
-    fn from_str(text: &str) -> Result<ParameterValue, ParameterError> {
-        let invalid = |reason| ParameterError::InvalidValue { text: text.to_owned(), reason };
-        super::yaml::read_value(text).map_err(invalid)
     }
 }
 

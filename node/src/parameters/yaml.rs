@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Parameters in YAML, with ROS 2's rules for numbers, strings and so on.
 
-use super::ParameterValue;
+use super::error::ParameterError;
+use super::value::ParameterValue;
 use granit_parser::{Event, Parser, ScalarStyle, StrInput};
+use std::str::FromStr;
 
 /// Maximum depth of nested mappings.
 const MAX_DEPTH: usize = 64;
@@ -19,6 +21,24 @@ pub(crate) fn read_file(text: &str) -> Result<NodeParameters, String> {
         None => {}
     }
     Ok(nodes)
+}
+
+/// Reads a value as `-p name:=value` does: by YAML's rules.
+///
+/// ```
+/// use tautline::ParameterValue;
+///
+/// assert_eq!("1.5".parse(), Ok(ParameterValue::Double(1.5)));
+/// assert_eq!("[1, 2]".parse(), Ok(ParameterValue::IntegerArray(vec![1, 2])));
+/// assert!("[1, x]".parse::<ParameterValue>().is_err());
+/// ```
+impl FromStr for ParameterValue {
+    type Err = ParameterError;
+
+    fn from_str(text: &str) -> Result<ParameterValue, ParameterError> {
+        let invalid = |reason| ParameterError::InvalidValue { text: text.to_owned(), reason };
+        read_value(text).map_err(invalid)
+    }
 }
 
 /// Reads one value, as in `-p name:=value`.
