@@ -25,6 +25,7 @@ mod console;
 mod layer;
 mod line;
 mod logger;
+mod macros;
 mod output;
 mod rings;
 mod rosout;
