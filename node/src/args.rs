@@ -4,9 +4,9 @@
 
 use crate::error::{Error, Result};
 use crate::logging::LogSeverity;
-use crate::parameters::read_parameter_file;
-use crate::parameters::yaml::{self, NodeParameters};
 use crate::remap::RemapRules;
+use crate::values::ParameterValue;
+use crate::values::yaml::{self, NodeParameters};
 use std::path::Path;
 
 /// The settings of a command line for the nodes of a context.
@@ -69,7 +69,7 @@ impl Arguments {
                     .push(parameter(&rule).map_err(|reason| refuse(&format!("{argument} {rule}"), reason))?);
             }
             "--params-file" => {
-                self.parameters.extend(read_parameter_file(Path::new(&value("a file")?))?);
+                self.parameters.extend(yaml::read_parameter_file(Path::new(&value("a file")?))?);
             }
             "--log-level" => {
                 let rule = value("LEVEL or LOGGER:=LEVEL")?;
@@ -112,12 +112,11 @@ fn parameter(rule: &str) -> Result<NodeParameter, String> {
     Ok((node.to_owned(), vec![(name.to_owned(), yaml::read_value(value)?)]))
 }
 
-type NodeParameter = (String, Vec<(String, crate::parameters::ParameterValue)>);
+type NodeParameter = (String, Vec<(String, ParameterValue)>);
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::parameters::ParameterValue;
 
     fn parse(line: &str) -> Result<Arguments> {
         Arguments::parse(line.split_whitespace().map(str::to_owned))

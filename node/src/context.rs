@@ -4,11 +4,11 @@
 use crate::args::Arguments;
 use crate::error::{Error, Result};
 use crate::logging::{self, FlushOnDrop, Rosout};
-use crate::parameters::EventTopic;
 use crate::reload::{CurrentSystem, Reload};
 use crate::remap::RemapRules;
 use crate::subscription::thread_parkers;
 use crate::system::{CallbackJoin, join_of};
+use crate::values::EventTopic;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;

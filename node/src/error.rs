@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
-use crate::parameters::ParameterError;
+use crate::values::ParameterError;
 use std::path::PathBuf;
 use std::time::Duration;
 use tautline_executor::ExecutorError;

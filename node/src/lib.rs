@@ -108,6 +108,7 @@ mod time;
 mod timer;
 #[cfg(feature = "untyped")]
 mod untyped;
+mod values;
 
 #[cfg(feature = "lifecycle_msgs")]
 pub mod lifecycle;
@@ -129,9 +130,8 @@ pub use lifecycle::{LifecycleCallbacks, LifecycleNode, ManagedNode};
 pub use logging::{LogSeverity, Logger};
 pub use node::{Node, NodeOptions};
 pub use parameters::{
-    OnSetParameters, Parameter, ParameterDescriptor, ParameterError, ParameterRange, ParameterReader,
-    ParameterType, ParameterValue, ParameterVariant, Parameters, RosParams, UnknownParameterType,
-    WrongParameterType, parameters_of_file,
+    OnSetParameters, Parameter, ParameterDescriptor, ParameterRange, ParameterReader, Parameters, RosParams,
+    parameters_of_file,
 };
 pub use qos_events::{
     DeadlineMissed, LivelinessLost, PublisherEvent, PublisherEvents, SubscriptionEvent, SubscriptionEvents,
@@ -146,6 +146,9 @@ pub use time::{Clock, ClockChange, ClockJump, ClockType, JumpCallback, JumpThres
 pub use timer::Timer;
 #[cfg(feature = "untyped")]
 pub use untyped::{Cdr, Json};
+pub use values::{
+    ParameterError, ParameterType, ParameterValue, ParameterVariant, UnknownParameterType, WrongParameterType,
+};
 
 pub use indexmap;
 pub use tautline_derive::RosParams;

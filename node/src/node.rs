@@ -6,12 +6,13 @@ use crate::context::Context;
 use crate::error::{Error, Result};
 use crate::logging::{self, Logger};
 use crate::names;
-use crate::parameters::{self, ParameterEvents, ParameterValue, Parameters};
+use crate::parameters::{self, Parameters};
 use crate::remap::{NameKind, RemapRules};
 use crate::subscription::Subscription;
 #[cfg(feature = "rosgraph_msgs")]
 use crate::time::TimeSource;
 use crate::timer::Timer;
+use crate::values::{ParameterEvents, ParameterValue};
 use std::collections::HashMap;
 use std::future::Future;
 use std::sync::Arc;

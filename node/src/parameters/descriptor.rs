@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The description of a parameter.
 
-use super::error::ParameterError;
-use super::value::ParameterValue;
+use crate::values::{ParameterError, ParameterValue};
 use std::fmt;
 use std::ops::RangeInclusive;
 

@@ -2,9 +2,9 @@
 //! The six parameter services of a node, as in r2r.
 
 use super::services::{self, Changed};
-use super::value::ParameterValue;
 use crate::error::Result;
 use crate::node::Node;
+use crate::values::ParameterValue;
 use futures::channel::mpsc;
 use futures::future::{BoxFuture, join_all, ready};
 use futures::{FutureExt, Stream, StreamExt};

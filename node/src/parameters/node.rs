@@ -2,14 +2,12 @@
 //! A node's functions for its parameters.
 
 use super::descriptor::ParameterDescriptor;
-use super::error::ParameterError;
 use super::parameter::Parameter;
 use super::reader::ParameterReader;
 use super::store::{ParameterMap, Parameters};
-use super::value::{ParameterValue, ParameterVariant, WrongParameterType};
-use super::yaml;
 use crate::error::Result;
 use crate::node::Node;
+use crate::values::{ParameterValue, ParameterVariant, WrongParameterType, yaml};
 use std::path::Path;
 
 /// The values that the command line, parameter files and a node's options give the node of this name. Later ones count.
@@ -30,14 +28,8 @@ pub(crate) fn overrides(
 /// [`Error::Parameter`](crate::Error::Parameter): it cannot be read, or is not a parameter file; the error
 /// names the line.
 pub fn parameters_of_file(path: &Path, fully_qualified_name: &str) -> Result<Vec<(String, ParameterValue)>> {
-    let given = overrides(&read_parameter_file(path)?, &[], fully_qualified_name);
+    let given = overrides(&yaml::read_parameter_file(path)?, &[], fully_qualified_name);
     Ok(given.into_iter().map(|(name, parameter)| (name, parameter.value)).collect())
-}
-
-pub(crate) fn read_parameter_file(path: &Path) -> Result<yaml::NodeParameters> {
-    let text = std::fs::read_to_string(path).map_err(|error| error.to_string());
-    let wrong = |reason| ParameterError::File { path: path.to_owned(), reason };
-    Ok(text.and_then(|text| yaml::read_file(&text)).map_err(wrong)?)
 }
 
 impl Node {

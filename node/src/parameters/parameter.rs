@@ -2,8 +2,7 @@
 //! A parameter as the node keeps it.
 
 use super::descriptor::ParameterDescriptor;
-use super::error::ParameterError;
-use super::value::ParameterValue;
+use crate::values::{ParameterError, ParameterValue};
 
 /// A parameter of a node.
 #[derive(Debug, Clone, PartialEq, Default)]

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reads a parameter from a callback, and waits for its changes.
 
-use super::value::{ParameterValue, ParameterVariant};
+use crate::values::{ParameterValue, ParameterVariant};
 use futures::Stream;
 use futures::task::AtomicWaker;
 use std::future::poll_fn;

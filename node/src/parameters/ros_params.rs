@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Structs whose fields are parameters.
 
-use super::error::ParameterError;
 use super::parameter::Parameter;
-use super::value::{ParameterType, ParameterValue};
 use crate::error::Result;
+use crate::values::{ParameterError, ParameterType, ParameterValue};
 use indexmap::IndexMap;
 use std::fmt::Display;
 

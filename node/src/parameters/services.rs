@@ -2,10 +2,9 @@
 //! The responses of a node's parameter services.
 
 use super::descriptor::{ParameterDescriptor, ParameterRange};
-use super::error::ParameterError;
 use super::store::Parameters;
-use super::value::{ParameterType, ParameterValue};
 use crate::error::Result;
+use crate::values::{ParameterError, ParameterType, ParameterValue};
 use tautline_ros_msgs::rcl_interfaces::msg::{self, ListParametersResult, SetParametersResult};
 use tautline_ros_msgs::rcl_interfaces::srv::{
     DescribeParameters, GetParameterTypes, GetParameters, ListParameters, SetParameters,
@@ -141,8 +140,9 @@ fn descriptor(
 
 #[cfg(test)]
 mod tests {
-    use super::super::{ParameterEvents, ParameterMap};
     use super::*;
+    use crate::parameters::ParameterMap;
+    use crate::values::ParameterEvents;
 
     fn parameters() -> Parameters {
         let parameters = Parameters::new(ParameterMap::new(), ParameterEvents::nowhere());

@@ -2,13 +2,14 @@
 //! A node's parameters, which any thread may declare and set.
 
 use super::descriptor::ParameterDescriptor;
-use super::error::ParameterError;
-use super::events::{Changes, ParameterEvents};
 use super::parameter::Parameter;
 use super::reader::{Feed, ParameterReader};
 use super::ros_params::RosParams;
-use super::value::{ParameterType, ParameterValue, ParameterVariant, WrongParameterType};
 use crate::error::Result;
+use crate::values::{
+    Changes, ParameterError, ParameterEvents, ParameterType, ParameterValue, ParameterVariant,
+    WrongParameterType,
+};
 #[cfg(feature = "rosgraph_msgs")]
 use crate::time::TimeSource;
 use indexmap::IndexMap;

@@ -25,7 +25,7 @@ impl ParameterEvents {
 
     /// For tests of what needs no topic.
     #[cfg(all(test, feature = "rcl_interfaces"))]
-    pub(super) fn nowhere() -> ParameterEvents {
+    pub(crate) fn nowhere() -> ParameterEvents {
         ParameterEvents { node: String::new(), topic: None }
     }
 
@@ -49,8 +49,8 @@ pub(crate) use topic::EventTopic;
 #[cfg(feature = "rcl_interfaces")]
 mod topic {
     use crate::Qos;
-    use crate::parameters::events::Changes;
-    use crate::parameters::value::ParameterValue;
+    use crate::values::events::Changes;
+    use crate::values::value::ParameterValue;
     use std::sync::{Mutex, PoisonError};
     use tautline_ros_msgs::builtin_interfaces::msg::Time;
     use tautline_ros_msgs::rcl_interfaces::msg::{Parameter, ParameterEvent};

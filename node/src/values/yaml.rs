@@ -4,6 +4,7 @@
 use super::error::ParameterError;
 use super::value::ParameterValue;
 use granit_parser::{Event, Parser, ScalarStyle, StrInput};
+use std::path::Path;
 use std::str::FromStr;
 
 /// Maximum depth of nested mappings.
@@ -13,7 +14,7 @@ const MAX_DEPTH: usize = 64;
 /// may occur several times.
 pub(crate) type NodeParameters = Vec<(String, Vec<(String, ParameterValue)>)>;
 
-pub(crate) fn read_file(text: &str) -> Result<NodeParameters, String> {
+fn read_file(text: &str) -> Result<NodeParameters, String> {
     let mut nodes = Vec::new();
     match parse(text)? {
         Some(Tree { node: Node::Mapping(entries), .. }) => find_nodes("", entries, &mut nodes)?,
@@ -21,6 +22,13 @@ pub(crate) fn read_file(text: &str) -> Result<NodeParameters, String> {
         None => {}
     }
     Ok(nodes)
+}
+
+/// Reads a parameter file.
+pub(crate) fn read_parameter_file(path: &Path) -> Result<NodeParameters, ParameterError> {
+    let text = std::fs::read_to_string(path).map_err(|error| error.to_string());
+    let wrong = |reason| ParameterError::File { path: path.to_owned(), reason };
+    text.and_then(|text| read_file(&text)).map_err(wrong)
 }
 
 /// Reads a value as `-p name:=value` does: by YAML's rules.
@@ -433,7 +441,7 @@ robot:
         let nodes = read_file(text).unwrap();
         let names: Vec<_> = nodes.iter().map(|(node, _)| node.as_str()).collect();
         assert_eq!(names, ["robot/arm", "robot/leg", "robot/arm", "robot/arm"]);
-        let given = crate::parameters::node::overrides(&nodes, &[], "/robot/arm");
+        let given = crate::parameters::overrides(&nodes, &[], "/robot/arm");
         let given: Vec<_> =
             given.iter().map(|(name, parameter)| (name.as_str(), parameter.value.clone())).collect();
         assert_eq!(given, [("a", Value::Integer(3)), ("b.c", Value::Integer(4))]);
