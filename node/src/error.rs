@@ -118,7 +118,7 @@ pub enum Error {
     /// A managed node did not begin a transition.
     #[cfg(feature = "lifecycle_msgs")]
     #[error(transparent)]
-    Lifecycle(#[from] crate::lifecycle::LifecycleError),
+    Lifecycle(#[from] crate::state_machine::LifecycleError),
     /// A request was not sent or got no response, or a response was not sent.
     #[error(transparent)]
     Service(#[from] ServiceError),
@@ -148,7 +148,7 @@ pub enum Error {
     /// The operation is not possible in the goal's state.
     #[cfg(feature = "action_msgs")]
     #[error("action '{action}': goal {goal} is {status}: this is no longer possible, or not yet")]
-    Goal { action: String, goal: String, status: crate::action::GoalStatus },
+    Goal { action: String, goal: String, status: crate::goal_state::GoalStatus },
     /// The action's server rejected the cancellation and continues with the goal.
     #[error("the action's server rejected the request to cancel the goal")]
     GoalCancelRejected,

@@ -93,6 +93,8 @@ mod args;
 mod callbacks;
 mod context;
 mod error;
+#[cfg(feature = "action_msgs")]
+mod goal_state;
 mod graph;
 mod names;
 mod node;
@@ -101,6 +103,8 @@ mod qos_events;
 mod reload;
 mod remap;
 mod service;
+#[cfg(feature = "lifecycle_msgs")]
+mod state_machine;
 mod subscription;
 mod system;
 #[cfg(feature = "rosgraph_msgs")]
@@ -119,11 +123,13 @@ pub mod tf;
 #[cfg(feature = "action_msgs")]
 pub use action::{
     ActionClient, ActionClientGoal, ActionServerCancelRequest, ActionServerGoal, ActionServerGoalRequest,
-    ActionServerOptions, GoalStatus,
+    ActionServerOptions,
 };
 pub use callbacks::NodeCallbacks;
 pub use context::{Context, ContextBuilder};
 pub use error::{Error, Result};
+#[cfg(feature = "action_msgs")]
+pub use goal_state::GoalStatus;
 pub use graph::TopicEndpointInfo;
 #[cfg(feature = "lifecycle_msgs")]
 pub use lifecycle::{LifecycleCallbacks, LifecycleNode, ManagedNode};

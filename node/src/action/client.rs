@@ -3,8 +3,8 @@
 
 use super::goals::cancel_code;
 use super::names::{FEEDBACK_DEPTH, Names, status_qos};
-use super::state::{GoalStatus, SharedStatus};
 use crate::error::{Error, Result};
+use crate::goal_state::{GoalStatus, SharedStatus};
 use crate::node::Node;
 use crate::service::Client;
 use crate::subscription::Subscription;

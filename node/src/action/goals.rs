@@ -2,7 +2,7 @@
 //! A server's goals: their states, which of them may be cancelled, which requests wait for a result, and which goals have expired.
 //! No input or output.
 
-use super::state::{GoalEvent, GoalStatus, SharedStatus};
+use crate::goal_state::{GoalEvent, GoalStatus, SharedStatus};
 use std::time::Duration;
 use tautline_msgs::GoalId;
 use tautline_transport::MAX_PENDING_REQUESTS;

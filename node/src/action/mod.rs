@@ -6,13 +6,11 @@ mod client;
 mod goals;
 mod names;
 mod server;
-mod state;
 #[cfg(feature = "untyped")]
 mod untyped;
 
 pub use client::{ActionClient, ActionClientGoal, ActionCodec};
 pub use server::{ActionServerCancelRequest, ActionServerGoal, ActionServerGoalRequest, ActionServerOptions};
-pub use state::GoalStatus;
 
 #[allow(unused_imports, reason = "for the documentation")]
 use crate::error::Error;

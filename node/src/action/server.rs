@@ -3,8 +3,8 @@
 
 use super::goals::{Goals, MAX_WAITING, ResultOf, Stamp, cancel_code};
 use super::names::{Names, qos, status_qos};
-use super::state::{GoalEvent, GoalStatus, SharedStatus};
 use crate::error::{Error, Result};
+use crate::goal_state::{GoalEvent, GoalStatus, SharedStatus};
 use crate::node::Node;
 use crate::service::{Reply, ServiceRequest};
 use futures::channel::{mpsc, oneshot};

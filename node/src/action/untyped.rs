@@ -3,8 +3,8 @@
 
 use super::client::{ActionClient, ActionCodec};
 use super::names::{Names, feedback_qos};
-use super::state::GoalStatus;
 use crate::error::Result;
+use crate::goal_state::GoalStatus;
 use crate::node::Node;
 use crate::untyped::Json;
 use serde_json::{Value, json};

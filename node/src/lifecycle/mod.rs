@@ -20,9 +20,10 @@
 //! # Ok::<(), tautline::Error>(())
 //! ```
 
-mod machine;
 mod node;
 mod services;
 
-pub use machine::{CallbackReturn, InvalidTransition, State, StateMachine, Transition};
-pub use node::{LifecycleCallbacks, LifecycleError, LifecycleNode, ManagedNode, Transitioned};
+pub use crate::state_machine::{
+    CallbackReturn, InvalidTransition, LifecycleError, State, StateMachine, Transition,
+};
+pub use node::{LifecycleCallbacks, LifecycleNode, ManagedNode, Transitioned};

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
-use super::machine::{CallbackReturn, InvalidTransition, State, StateMachine, Transition};
 use crate::context::Context;
 use crate::error::Result;
 use crate::node::Node;
+use crate::state_machine::{CallbackReturn, LifecycleError, State, StateMachine, Transition};
 use std::ops::{Deref, DerefMut};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU8, Ordering};
@@ -99,20 +99,6 @@ impl DerefMut for ManagedNode {
     fn deref_mut(&mut self) -> &mut Node {
         &mut self.node
     }
-}
-
-/// Why a managed node did not start a transition.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum LifecycleError {
-    /// The transition does not start in the node's state.
-    #[error(transparent)]
-    InvalidTransition(#[from] InvalidTransition),
-    /// The callback of another transition is running.
-    #[error("the node is in state '{state}', a transition state: try again when its callback has returned")]
-    Busy {
-        /// The transition state, which lasts as long as the callback.
-        state: State,
-    },
 }
 
 /// The result of a transition.

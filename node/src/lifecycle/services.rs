@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The services of a managed node: their responses, and the tasks that serve them.
 
-use super::machine::{CallbackReturn, State, Transition};
-use super::node::{LifecycleError, LifecycleNode, Transitioned, described};
+use super::node::{LifecycleNode, Transitioned, described};
 use crate::error;
 use crate::service::ServiceRequest;
+use crate::state_machine::{CallbackReturn, LifecycleError, State, Transition};
 use futures::{FutureExt, StreamExt};
 use std::future::{Future, Ready, ready};
 use tautline_msgs::Service;

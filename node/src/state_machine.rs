@@ -225,6 +225,20 @@ impl Default for StateMachine {
     }
 }
 
+/// Why a managed node did not start a transition.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum LifecycleError {
+    /// The transition does not start in the node's state.
+    #[error(transparent)]
+    InvalidTransition(#[from] InvalidTransition),
+    /// The callback of another transition is running.
+    #[error("the node is in state '{state}', a transition state: try again when its callback has returned")]
+    Busy {
+        /// The transition state, which lasts as long as the callback.
+        state: State,
+    },
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
