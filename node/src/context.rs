@@ -280,7 +280,7 @@ impl ContextBuilder {
             executor = executor.with_statistics(file);
         }
         let sampler_statistics = executor.sampler_statistics()?;
-        logging::configure(&arguments);
+        logging::configure(&arguments.log_levels, arguments.outputs.console);
         let system = system.map(|system| Arc::new(CurrentSystem::new(system)));
         if let (Some(system), Some(statistics)) = (&system, executor.statistics()) {
             let reload = Reload::new(domain, statistics.orders(), executor.settings(), Arc::clone(system));

@@ -1,6 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Nodes: names under which topics are published and subscribed to.
 
+#[cfg(feature = "rosgraph_msgs")]
+mod clock;
+mod declare;
+#[cfg(feature = "rcl_interfaces")]
+mod logger_services;
+#[cfg(feature = "rcl_interfaces")]
+mod parameter_services;
+
 use crate::callbacks::NodeCallbacks;
 use crate::context::Context;
 use crate::error::{Error, Result};
@@ -433,7 +441,7 @@ impl Node {
 /// A release costs the sampler about as much time.
 const SHORTEST_PERIOD: Duration = Duration::from_micros(1);
 
-pub(crate) fn check_period(period: Duration) -> Result<()> {
+fn check_period(period: Duration) -> Result<()> {
     match period {
         Duration::ZERO => Err(Error::ZeroPeriod),
         _ if period < SHORTEST_PERIOD => Err(Error::ShortPeriod { period, min: SHORTEST_PERIOD }),

@@ -30,7 +30,7 @@ mod output;
 mod rings;
 mod rosout;
 #[cfg(feature = "rcl_interfaces")]
-mod services;
+pub(crate) mod services;
 mod severity;
 
 #[cfg(feature = "tracing-layer")]
@@ -45,7 +45,6 @@ pub use logger::Site;
 pub(crate) use output::{FlushOnDrop, start};
 pub(crate) use rosout::Rosout;
 
-use crate::args::Arguments;
 use std::sync::atomic::Ordering;
 
 /// Sets the minimum severity of lines of loggers without their own level.
@@ -53,15 +52,15 @@ pub fn set_level(level: LogSeverity) {
     severity::LEVELS.set_all(level);
 }
 
-/// Applies the settings of the command line.
-pub(crate) fn configure(arguments: &Arguments) {
-    for (logger, level) in &arguments.log_levels {
+/// Applies the settings of the command line: levels, of all loggers or of those with a name, and whether the console shows lines.
+pub(crate) fn configure(levels: &[(Option<String>, LogSeverity)], console: Option<bool>) {
+    for (logger, level) in levels {
         match logger {
             Some(logger) => severity::LEVELS.set(logger, *level),
             None => set_level(*level),
         }
     }
-    if let Some(console) = arguments.outputs.console {
+    if let Some(console) = console {
         output::TO_CONSOLE.store(console, Ordering::Relaxed);
     }
 }

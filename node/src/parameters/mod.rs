@@ -2,22 +2,20 @@
 //! Parameters: declared by a node, given on the command line or in files, set from other threads and nodes.
 
 mod descriptor;
-#[cfg(feature = "rcl_interfaces")]
-mod handler;
-mod node;
+mod overrides;
 mod parameter;
 mod reader;
 mod ros_params;
 #[cfg(feature = "rcl_interfaces")]
-mod services;
+pub(crate) mod services;
 mod store;
 
 pub use descriptor::{ParameterDescriptor, ParameterRange};
-pub use node::parameters_of_file;
+pub use overrides::parameters_of_file;
 pub use parameter::Parameter;
 pub use reader::ParameterReader;
 pub use ros_params::{RosParams, field, no_field};
 pub use store::{OnSetParameters, Parameters};
 
-pub(crate) use node::overrides;
+pub(crate) use overrides::overrides;
 pub(crate) use store::ParameterMap;

@@ -16,16 +16,16 @@ const DEPTH_RECURSIVE: u64 = 0;
 const SEPARATOR: char = '.';
 
 /// The parameters with a new value, for the stream of changes.
-pub(super) type Changed = Vec<(String, ParameterValue)>;
+pub(crate) type Changed = Vec<(String, ParameterValue)>;
 
 /// The values of parameters; "not set" for a parameter that does not exist.
-pub(super) fn get(parameters: &Parameters, request: &GetParameters::Request) -> GetParameters::Response {
+pub(crate) fn get(parameters: &Parameters, request: &GetParameters::Request) -> GetParameters::Response {
     let values = parameters.values(&request.names);
     GetParameters::Response { values: values.iter().map(Into::into).collect() }
 }
 
 /// The types of parameters; "not set" for a parameter that does not exist.
-pub(super) fn get_types(
+pub(crate) fn get_types(
     parameters: &Parameters,
     request: &GetParameterTypes::Request,
 ) -> GetParameterTypes::Response {
@@ -34,7 +34,7 @@ pub(super) fn get_types(
 }
 
 /// Describes parameters; for a parameter that does not exist, only the name.
-pub(super) fn describe(
+pub(crate) fn describe(
     parameters: &Parameters,
     request: &DescribeParameters::Request,
 ) -> DescribeParameters::Response {
@@ -46,7 +46,7 @@ pub(super) fn describe(
 }
 
 /// Lists the parameters that equal a prefix or are up to `depth` names below one; without prefixes, all of up to `depth` names.
-pub(super) fn list(parameters: &Parameters, request: &ListParameters::Request) -> ListParameters::Response {
+pub(crate) fn list(parameters: &Parameters, request: &ListParameters::Request) -> ListParameters::Response {
     let shallow = |rest: &str| {
         request.depth == DEPTH_RECURSIVE || (rest.matches(SEPARATOR).count() as u64) < request.depth
     };
@@ -68,7 +68,7 @@ pub(super) fn list(parameters: &Parameters, request: &ListParameters::Request) -
 }
 
 /// Sets parameters one after the other: a refused one does not stop the following ones.
-pub(super) fn set(
+pub(crate) fn set(
     parameters: &Parameters,
     request: SetParameters::Request,
 ) -> (SetParameters::Response, Changed) {
@@ -81,7 +81,7 @@ pub(super) fn set(
 }
 
 /// Sets all parameters or none.
-pub(super) fn set_atomically(
+pub(crate) fn set_atomically(
     parameters: &Parameters,
     request: SetParametersAtomically::Request,
 ) -> (SetParametersAtomically::Response, Changed) {

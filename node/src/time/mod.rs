@@ -2,7 +2,6 @@
 //! Clocks and simulated time.
 
 mod clock;
-mod node;
 mod source;
 mod timer;
 

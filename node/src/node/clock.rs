@@ -1,13 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A node's clock, and timers on it.
 
-use super::clock::Clock;
-use super::source::TimeSource;
-use super::timer::RosTimer;
+use super::{Node, check_period};
 #[allow(unused_imports, reason = "for the documentation")]
 use crate::error::Error;
 use crate::error::Result;
-use crate::node::{Node, check_period};
+use crate::time::{Clock, RosTimer, TimeSource};
 use crate::timer::Timer;
 use std::time::Duration;
 

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The six parameter services of a node, as in r2r.
 
-use super::services::{self, Changed};
+use super::Node;
 use crate::error::Result;
-use crate::node::Node;
+use crate::parameters::services::{self, Changed};
 use crate::values::ParameterValue;
 use futures::channel::mpsc;
 use futures::future::{BoxFuture, join_all, ready};
