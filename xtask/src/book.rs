@@ -10,15 +10,13 @@ mod links;
 
 use crate::steps::{Outcome, Steps, announce, cargo, execute, stdout_of};
 use crate::{files, machine, tools};
+use links::REPOSITORY;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 const MDBOOK: &str = "0.5.4";
-
-/// Where a file is read that is no page of the book.
-const REPOSITORY: &str = env!("CARGO_PKG_REPOSITORY");
 
 /// Files outside of `docs/`, and the pages that show them.
 const SHOWN: [(&str, &str); 2] =

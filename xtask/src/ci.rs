@@ -3,12 +3,13 @@
 //! the tests' build, unoptimised: that they run and keep their promises is checked, what they measure belongs to a quiet machine and a release
 //! build.
 
+use crate::background::Background;
 use crate::bench::{self, Name};
 use crate::build::{Build, TARGETS, WHOLE, WITH_GATEWAY, WITH_ROS};
 use crate::guests::{Extent, Guest};
 use crate::machine::{self, Scope};
 use crate::ros::Distribution;
-use crate::steps::{Background, Outcome, Steps, cargo, execute, reported};
+use crate::steps::{Outcome, Steps, cargo, execute, reported};
 use crate::test::{self, nextest};
 use crate::{
     api, book, bridge, dependencies, dist, first, fuzz, guests, lab, lints, lttng, packages, peers, programs,

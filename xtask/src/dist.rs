@@ -21,6 +21,7 @@ use crate::ros::Distribution;
 use crate::steps::{Outcome, Steps, cargo, execute, stdout_of};
 use crate::{files, machine, pages, r2r, rmw, ros, word};
 use clap::ValueEnum;
+use crates::{PACKAGES, VERSION};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -58,10 +59,7 @@ const DEBIAN_12_GLIBC: Version = (2, 36);
 /// that has it would demand that glibc. In rmw_tautline nothing asks for it.
 const OLD_GLIBC: &str = "-Clink-arg=-Wl,--defsym=pidfd_spawnp=0,--defsym=pidfd_getpid=0";
 
-const VERSION: &str = env!("CARGO_PKG_VERSION");
-
 const PROGRAMS: [&str; 5] = ["taut", "taut-bag", "taut-top", "taut-filter", "taut-gateway"];
-const PACKAGES: [&str; 5] = ["taut", "taut-bag", "taut-top", "taut-filter", "tautline-gateway"];
 const RMW: &str = "librmw_tautline.so";
 
 /// From PyPI, for the wheels.

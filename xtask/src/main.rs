@@ -2,6 +2,7 @@
 //! What CI runs and what people run, as `cargo xtask <verb>`.
 
 mod api;
+mod background;
 mod bench;
 mod book;
 mod bridge;

@@ -1,10 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Commands that are printed before they run, timed, and counted at the end.
 
-mod background;
-
-pub use background::Background;
-
 use crate::machine;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -47,9 +43,9 @@ impl From<Result<(), String>> for Outcome {
 
 /// A step that has ended.
 #[derive(Serialize, Deserialize)]
-struct Done {
-    name: String,
-    outcome: Outcome,
+pub struct Done {
+    pub name: String,
+    pub outcome: Outcome,
     took: Duration,
     /// How many cores its processes used, on average: one that waits can run beside another.
     cores: f64,
@@ -58,7 +54,7 @@ struct Done {
 /// The steps of a task. One that fails does not stop those after it.
 pub struct Steps {
     start: Instant,
-    done: Vec<Done>,
+    pub done: Vec<Done>,
 }
 
 impl Steps {
@@ -97,7 +93,7 @@ impl Steps {
     }
 
     /// Notes what failed without being a step.
-    fn fail(&mut self, name: &str, reason: String) {
+    pub fn fail(&mut self, name: &str, reason: String) {
         let outcome = Outcome::Failed(reason);
         self.done.push(Done { name: name.to_owned(), outcome, took: Duration::ZERO, cores: 0.0 });
     }
@@ -125,7 +121,7 @@ impl Steps {
     }
 }
 
-fn text(outcome: &Outcome) -> String {
+pub fn text(outcome: &Outcome) -> String {
     match outcome {
         Outcome::Ok => "ok".to_owned(),
         Outcome::Failed(reason) => format!("FAILED: {reason}"),
@@ -157,7 +153,7 @@ pub fn run_only(beginnings: Vec<String>) {
     let _ = ONLY.set(beginnings);
 }
 
-fn only() -> &'static [String] {
+pub fn only() -> &'static [String] {
     ONLY.get().map_or(&[], Vec::as_slice)
 }
 
@@ -178,6 +174,10 @@ pub fn keep_timings(asked: bool) {
     }
 }
 
+pub fn are_timings_kept() -> bool {
+    TIMINGS.get().is_some()
+}
+
 /// `cargo` with these arguments, which contain no spaces.
 pub fn cargo(arguments: &str) -> Command {
     cargo_with(arguments, [])
@@ -190,7 +190,7 @@ pub fn cargo_with(arguments: &str, more: impl IntoIterator<Item = String>) -> Co
     command.args(words.by_ref().take_while(|word| *word != "--"));
     let is_build =
         ["build ", "clippy ", "test ", "nextest run "].iter().any(|verb| arguments.starts_with(verb));
-    command.args((is_build && TIMINGS.get().is_some()).then_some("--timings")).args(more);
+    command.args((is_build && are_timings_kept()).then_some("--timings")).args(more);
     if arguments.split(' ').any(|word| word == "--") {
         command.arg("--").args(words);
     }

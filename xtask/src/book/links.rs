@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Where the links of Markdown files are, and which file each leads to: the book redirects them. That none is dead is for lychee to check.
 
-use super::REPOSITORY;
 use std::ops::Range;
 use std::path::{Component, Path, PathBuf};
+
+/// Where a file is read that is no page of the book.
+pub const REPOSITORY: &str = env!("CARGO_PKG_REPOSITORY");
 
 /// The file, relative to the root, and the heading that `target`, a link in `file`, leads to; `None` if it leads elsewhere. What is shown outside of
 /// the repository, too, names files by their addresses there.

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The published crates: packed as for crates.io, and used by a program that has nothing else of this repository.
 
-use super::VERSION;
 use crate::build::Build;
 use crate::files::{self, write};
 use crate::machine;
@@ -9,6 +8,11 @@ use crate::steps::{cargo, execute, json_of};
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
+
+pub const VERSION: &str = env!("CARGO_PKG_VERSION");
+
+/// The packages of the programs.
+pub const PACKAGES: [&str; 5] = ["taut", "taut-bag", "taut-top", "taut-filter", "tautline-gateway"];
 
 /// What a user begins with, with types of its own, and something of each of the other libraries.
 const PROGRAM: &str = r#"
@@ -79,7 +83,7 @@ fn use_registry(names: &[String], crates: &Path, work: &Path) -> Result<(), Stri
     };
     execute(&mut from_registry("build --package program"))?;
     let mut install = from_registry("install --debug --no-track --root installed");
-    execute(install.args(["--version", VERSION]).args(super::PACKAGES))?;
+    execute(install.args(["--version", VERSION]).args(PACKAGES))?;
     fs::remove_dir_all(work).map_err(files::at(work))
 }
 

@@ -2,7 +2,7 @@
 //! Steps in a process of their own while this one goes on with others: what waits, for a network or for other processes, leaves most of the
 //! machine to what builds.
 
-use super::{Done, Outcome, Steps, TIMINGS, announce, only, variables};
+use crate::steps::{Done, Outcome, Steps, announce, are_timings_kept, only, variables};
 use crate::{files, machine};
 use std::fs::{self, File};
 use std::io;
@@ -34,7 +34,7 @@ impl Background {
             command.args([&*format!("-n{niceness}"), &own, "background", job]).arg(&done);
             command.envs(variables());
             command.args(only().iter().map(|begin| format!("--only={begin}")));
-            command.args(TIMINGS.get().map(|()| "--timings"));
+            command.args(are_timings_kept().then_some("--timings"));
             announce(&command);
             println!("{job}: in the background; what it prints comes when it has ended");
             command.stdout(to.try_clone()?).stderr(to).spawn()
@@ -76,8 +76,8 @@ fn read(path: &Path) -> Result<Vec<Done>, String> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::text;
     use super::*;
+    use crate::steps::text;
 
     #[test]
     fn steps_of_another_process_are_counted() {
