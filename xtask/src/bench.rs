@@ -105,7 +105,7 @@ pub fn command(name: Name, told: &[String], of: Build) -> Result<Command, String
         _ => {}
     }
     if let Some(program) = name.r2r() {
-        r2r::join(&mut command, program, take(&mut told, "--no-r2r"), of);
+        lab::join_r2r(&mut command, program, take(&mut told, "--no-r2r"), of);
     }
     if let Some([quick, whole]) = name.lengths() {
         let lengths = if take(&mut told, "--quick") { quick } else { whole };

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The bridge to ROS 2: its lints and its tests, against the ROS 2 that is sourced or the one under the target directory.
 
-use crate::build::{Build, TARGETS, WHOLE as WORKSPACE};
-use crate::r2r::Environment;
+use crate::build::{Build, TARGETS};
 use crate::ros::Distribution;
 use crate::steps::{Steps, cargo};
-use crate::{lab, lints, machine, programs, r2r, ros};
+use crate::with_ros::{nextest, programs, with_libraries, with_ros};
+use crate::{lab, lints, machine, r2r, ros};
 use std::process::Command;
 
 /// Without a ROS 2 it is left out, which is said; but not in CI.
@@ -49,41 +49,10 @@ fn forget_r2r() {
     }
 }
 
-/// Tests of processes, several of which at once find each other late on a small machine: what fails once is tried again, and named.
-pub fn nextest(whole: &str) -> String {
-    if machine::cargo_has("nextest --version").is_err() {
-        return format!("test {whole} --lib --bins --tests --no-fail-fast -- --test-threads 2");
-    }
-    let profile = if machine::is_ci() { "ci" } else { "default" };
-    format!(
-        "nextest run {whole} --config-file .config/nextest.toml --profile {profile} --no-fail-fast --test-threads 2"
-    )
-}
-
-/// The workspace's programs that tests elsewhere run. With a test and the features of the workspace's tests, by which cargo takes
-/// the features that these have of everything, and builds nothing twice.
-pub fn programs() -> String {
-    format!(
-        "build --locked {WORKSPACE} --bin taut --bin taut-bag --bin taut-top --bin taut-gateway --test component"
-    )
-}
-
 const BRIDGE: &str = "--manifest-path bridge-ros/Cargo.toml --locked";
 
 /// With what it needs as the workspace's tests have it.
 pub const WHOLE: &str = "--manifest-path bridge-ros/Cargo.toml --locked --features xtask";
-
-/// With the ROS 2 of this environment, for what shares the workspace's target directory.
-pub fn with_ros<'c>(environment: &Environment, command: &'c mut Command) -> &'c mut Command {
-    command.envs(environment.clone()).env("CARGO_TARGET_DIR", machine::target_dir());
-    command.env("IDL_PACKAGE_FILTER", programs::PACKAGES)
-}
-
-/// For a build: r2r's build script needs the libraries too, and has no rpath.
-pub fn with_libraries<'c>(environment: &Environment, command: &'c mut Command) -> &'c mut Command {
-    let lib = environment.iter().find(|(name, _)| *name == r2r::RPATH);
-    with_ros(environment, command).envs(lib.map(|(_, lib)| ("LD_LIBRARY_PATH", lib)))
-}
 
 /// The bench, of a release build with the bridge and r2r's side, some minutes from cold.
 pub fn bench(of: Build) -> Result<Command, String> {

@@ -248,7 +248,7 @@ fn lane_keeping(steps: &mut Steps) {
 
 /// The same beside r2r's program, where there is a ROS 2.
 fn beside_r2r(steps: &mut Steps, name: &str, bench: Name, run: impl FnOnce(&str) -> Result<(), String>) {
-    let run = || run(&r2r::program(bench.r2r().unwrap_or_default(), Build::Tests)?.display().to_string());
+    let run = || run(&lab::r2r_program(bench.r2r().unwrap_or_default(), Build::Tests)?.display().to_string());
     steps.step(&format!("{name}: beside r2r"), || Outcome::from(run()).unless_ci());
 }
 

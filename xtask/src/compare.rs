@@ -142,7 +142,7 @@ fn unpack(root: &Path, packages: &str) -> Result<(), String> {
 
 /// A minute from cold, with the programs of other benches.
 fn build_r2r(of: Build) -> Result<PathBuf, String> {
-    r2r::program("compare-r2r", of)
+    lab::r2r_program("compare-r2r", of)
 }
 
 /// From cold half a minute for taktora, whose iceoryx2 is not ours, and minutes for Zenoh, which its own rival and hiroz share.

@@ -2,13 +2,15 @@
 //! rmw_tautline built with the headers of distributions that PyPI does not have. They are made of those that it has: what came later is
 //! hidden, or what came since is added. What is built starts nowhere, which is tested, and is replaced by the next build.
 
-use crate::bridge::with_libraries;
+use crate::build::Build;
 use crate::r2r::Environment;
 use crate::ros::{self, Distribution};
-use crate::steps::Steps;
-use crate::{files, lints, machine, rmw, word};
+use crate::steps::{Steps, announce};
+use crate::with_ros::{RMW, with_libraries};
+use crate::{files, lints, machine, word};
 use std::os::unix::fs::symlink;
 use std::path::Path;
+use std::process::Command;
 
 const PACKAGES: &str = "fastcdr rcutils rmw rosidl_dynamic_typesupport rosidl_runtime_c rosidl_typesupport_fastrtps_cpp \
     rosidl_typesupport_interface rosidl_typesupport_introspection_c";
@@ -92,16 +94,37 @@ pub fn test(steps: &mut Steps, environment: &Environment) {
         if !steps.step(&format!("{name}: made"), || make(&other, &prefix)) {
             continue;
         }
-        let built = lints::build_with(steps, &name, &format!("{} --lib", rmw::WHOLE), |command| {
+        let built = lints::build_with(steps, &name, &format!("{RMW} --lib"), |command| {
             with_libraries(environment, command)
                 .env("AMENT_PREFIX_PATH", &prefix)
                 .env("ROS_DISTRO", other.name)
         });
         // The loader itself refuses what needs another Fast CDR.
         if built && other.from == ros::chosen() {
-            rmw::refused(steps, other.name, other.from);
+            refused(steps, other.name, other.from);
         }
     }
+}
+
+/// The library that was built last does not start in another distribution, and says so.
+pub fn refused(steps: &mut Steps, built: &str, by: Distribution) {
+    steps.step(&format!("rmw: {} refuses {built}'s", word(by)), || {
+        let venv = ros::folder_of(by).join("venv");
+        let mut node = Command::new(venv.join("bin/python"));
+        node.args(["-c", "import rclpy; rclpy.init()"]).env_remove("ROS_DISTRO");
+        node.env("LD_LIBRARY_PATH", venv.join("lib")).env_remove("AMENT_PREFIX_PATH");
+        node.env("RMW_IMPLEMENTATION", "rmw_tautline");
+        // The library's rpath is that of its build: the librmw comes first, as it does where there is one distribution.
+        let [librmw, library] =
+            [venv.join("lib/librmw.so"), Build::Tests.folder().join("librmw_tautline.so")];
+        node.env("LD_PRELOAD", format!("{} {}", librmw.display(), library.display()));
+        announce(&node);
+        let output = node.output().map_err(|error| format!("Python: {error}"))?;
+        let said = String::from_utf8_lossy(&output.stderr);
+        let expected =
+            format!("built for ROS 2 {built}, and the librmw that is loaded is of {}: build it", word(by));
+        if !output.status.success() && said.contains(&expected) { Ok(()) } else { Err(said.into_owned()) }
+    });
 }
 
 fn make(other: &Other, prefix: &Path) -> Result<(), String> {

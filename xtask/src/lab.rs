@@ -4,7 +4,8 @@
 use crate::build::{Build, TARGETS};
 use crate::r2r::Environment;
 use crate::steps::{self, Steps, cargo_with};
-use crate::{bridge, lints, machine};
+use crate::with_ros::{nextest, with_libraries};
+use crate::{lints, machine, r2r};
 use std::path::PathBuf;
 use std::process::Command;
 
@@ -42,7 +43,21 @@ pub fn folder_with(of: Build, packages: &str) -> Result<PathBuf, String> {
 
 /// As [`folder_with`], with a ROS 2.
 pub fn folder_with_ros(of: Build, environment: &Environment, packages: &str) -> Result<PathBuf, String> {
-    of.with(bridge::with_libraries(environment, &mut cargo(&format!("build --release {packages}"))))
+    of.with(with_libraries(environment, &mut cargo(&format!("build --release {packages}"))))
+}
+
+/// Builds r2r's side of the benches, a minute from cold, and says where this program of it is.
+pub fn r2r_program(name: &str, of: Build) -> Result<PathBuf, String> {
+    Ok(folder_with_ros(of, &r2r::environment()?, "-p rival-r2r")?.join(name))
+}
+
+/// Tells a bench where r2r's side of it is, built before, or why it is left out.
+pub fn join_r2r(bench: &mut Command, name: &str, is_left_out: bool, of: Build) {
+    let built = if is_left_out { Err("as --no-r2r says".to_owned()) } else { r2r_program(name, of) };
+    match built {
+        Ok(program) => bench.arg("--r2r").arg(program),
+        Err(reason) => bench.arg(format!("--without-r2r={reason}")),
+    };
 }
 
 /// Builds what needs no ROS 2, and runs its tests. Says whether it was built.
@@ -56,7 +71,7 @@ pub fn test(steps: &mut Steps) -> bool {
         build("benches: build and lints", &format!("{WHOLE} {TARGETS}")),
         build("benches: rivals", &format!("{RIVALS} --lib --bins")),
     ];
-    let mut tests = lints::cargo(&bridge::nextest(WHOLE));
+    let mut tests = lints::cargo(&nextest(WHOLE));
     steps.command("benches: tests", tests.env(target.0, &target.1));
     built == [true, true]
 }
@@ -65,6 +80,6 @@ pub fn test(steps: &mut Steps) -> bool {
 pub fn build_with_ros(steps: &mut Steps, environment: &Environment) {
     let name = "benches with ROS 2: build and lints";
     lints::build_with(steps, name, &format!("{WITH_ROS} --lib --bins"), |command| {
-        bridge::with_libraries(environment, command)
+        with_libraries(environment, command)
     });
 }

@@ -40,6 +40,7 @@ mod shared;
 mod steps;
 mod test;
 mod tools;
+mod with_ros;
 
 use bench::Bench;
 use build::{Build, SAME};
@@ -314,7 +315,7 @@ fn main() -> ExitCode {
         Verb::First => as_steps(first::test),
         Verb::Ros(Ros { distro }) => {
             ros::choose(distro);
-            exit(ros::run())
+            exit(r2r::run())
         }
         Verb::Bridge(Ros { distro }) => {
             ros::choose(distro);

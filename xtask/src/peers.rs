@@ -5,7 +5,8 @@
 use crate::machine::{self, Scope};
 use crate::running::Running;
 use crate::steps::{Outcome, Steps, cargo};
-use crate::{bridge, lints, r2r, rmw, ros};
+use crate::with_ros::{RMW, nextest, with_libraries};
+use crate::{lints, r2r, ros};
 use std::path::PathBuf;
 use std::process::Command;
 use std::time::{Duration, Instant};
@@ -29,11 +30,11 @@ fn nodes_of_ros(steps: &mut Steps) {
     const NAME: &str = "peers: rmw_zenoh_cpp";
     let name = ros::step("peers: rmw_tautline");
     let Some(environment) = r2r::environment_of(steps, &name) else { return };
-    let mut library = lints::cargo(&format!("build {}", rmw::WHOLE));
-    steps.command(&format!("{name}: build"), bridge::with_libraries(&environment, &mut library));
+    let mut library = lints::cargo(&format!("build {RMW}"));
+    steps.command(&format!("{name}: build"), with_libraries(&environment, &mut library));
     let mut test = |name: &str, test: &str| {
-        let mut tests = lints::cargo(&bridge::nextest(&format!("{} --test {test}", rmw::WHOLE)));
-        steps.command(name, bridge::with_libraries(&environment, &mut tests));
+        let mut tests = lints::cargo(&nextest(&format!("{RMW} --test {test}")));
+        steps.command(name, with_libraries(&environment, &mut tests));
     };
     test(&name, "peers");
     let prefixes = std::env::var_os("AMENT_PREFIX_PATH").unwrap_or_default();

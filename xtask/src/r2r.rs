@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What it takes to build a program of r2r's: a ROS 2 to link with and libclang.
 
-use crate::build::Build;
 use crate::ros::Distribution;
 use crate::steps::{self, Outcome, Steps};
-use crate::{files, lab, machine, ros};
+use crate::{files, machine, ros};
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -12,20 +11,6 @@ use std::{env, fs, io};
 
 /// From PyPI, where the system has none.
 const LIBCLANG: &str = "libclang==18.1.1";
-
-/// Builds r2r's side of the benches, a minute from cold, and says where this program of it is.
-pub fn program(name: &str, of: Build) -> Result<PathBuf, String> {
-    Ok(lab::folder_with_ros(of, &environment()?, "-p rival-r2r")?.join(name))
-}
-
-/// Tells a bench where r2r's side of it is, built before, or why it is left out.
-pub fn join(bench: &mut Command, name: &str, is_left_out: bool, of: Build) {
-    let built = if is_left_out { Err("as --no-r2r says".to_owned()) } else { program(name, of) };
-    match built {
-        Ok(program) => bench.arg("--r2r").arg(program),
-        Err(reason) => bench.arg(format!("--without-r2r={reason}")),
-    };
-}
 
 /// What the bridge's build script makes the rpath of.
 pub const RPATH: &str = "TAUT_ROS_RPATH";
@@ -96,6 +81,23 @@ pub fn wheels() -> Result<PathBuf, String> {
     let prefix = ros::folder().join("prefix");
     make_prefix(&ros::venv(), &prefix).map_err(files::at(&prefix))?;
     Ok(prefix)
+}
+
+/// Makes the environment and says how to use it.
+pub fn run() -> Result<(), String> {
+    ros::prepare()?;
+    let setup = setup_file()?;
+    println!(
+        "ROS 2 {} is in {}. To build and run the bridge with it:",
+        ros::distribution(),
+        ros::venv().display()
+    );
+    println!("  source {}", setup.display());
+    println!(
+        "  cargo build --release --manifest-path bridge-ros/Cargo.toml --target-dir {}",
+        machine::target_dir().display()
+    );
+    Ok(())
 }
 
 /// A file for a shell to source, with [`environment`] and the venv's Python.

@@ -3,19 +3,17 @@
 
 pub mod cross;
 
-use crate::bridge::{nextest, programs, with_libraries};
 use crate::build::{Build, TARGETS, build};
 use crate::r2r::Environment;
 use crate::ros::Distribution;
-use crate::steps::{Steps, announce, cargo};
-use crate::{colcon, headers, lab, lints, peers, r2r, ros, word};
+use crate::steps::{Steps, cargo};
+use crate::with_ros::{RMW, nextest, programs, with_libraries};
+use crate::{colcon, headers, lab, lints, peers, r2r, ros};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 const LIBRARY: &str = "--manifest-path rmw/Cargo.toml --locked";
-/// With what it needs as the workspace's tests have it.
-pub const WHOLE: &str = "--manifest-path rmw/Cargo.toml --locked --features xtask";
 
 /// The bench, of a release build with the library that is made first.
 pub fn bench(of: Build) -> Result<Command, String> {
@@ -74,37 +72,16 @@ pub fn test(steps: &mut Steps) -> bool {
         headers::test(steps, &environment);
     }
     let step = ros::step("rmw: build and lints");
-    let is_built = lints::build_with(steps, &step, &format!("{WHOLE} {TARGETS}"), |command| {
+    let is_built = lints::build_with(steps, &step, &format!("{RMW} {TARGETS}"), |command| {
         with_libraries(&environment, command)
     });
     if is_second {
-        refused(steps, &ros::distribution(), Distribution::default());
+        headers::refused(steps, &ros::distribution(), Distribution::default());
     }
     colcon::test(steps, &environment);
     steps.command(&ros::step("rmw: the gateway"), &mut lints::cargo(&programs()));
     steps.step(&ros::step("rmw: zenoh-ros2-sdk"), peers::prepare);
-    let mut tests = lints::cargo(&nextest(WHOLE));
+    let mut tests = lints::cargo(&nextest(RMW));
     steps.command(&ros::step("rmw: tests"), with_libraries(&environment, &mut tests));
     is_built
-}
-
-/// The library that was built last does not start in another distribution, and says so.
-pub fn refused(steps: &mut Steps, built: &str, by: Distribution) {
-    steps.step(&format!("rmw: {} refuses {built}'s", word(by)), || {
-        let venv = ros::folder_of(by).join("venv");
-        let mut node = Command::new(venv.join("bin/python"));
-        node.args(["-c", "import rclpy; rclpy.init()"]).env_remove("ROS_DISTRO");
-        node.env("LD_LIBRARY_PATH", venv.join("lib")).env_remove("AMENT_PREFIX_PATH");
-        node.env("RMW_IMPLEMENTATION", "rmw_tautline");
-        // The library's rpath is that of its build: the librmw comes first, as it does where there is one distribution.
-        let [librmw, library] =
-            [venv.join("lib/librmw.so"), Build::Tests.folder().join("librmw_tautline.so")];
-        node.env("LD_PRELOAD", format!("{} {}", librmw.display(), library.display()));
-        announce(&node);
-        let output = node.output().map_err(|error| format!("Python: {error}"))?;
-        let said = String::from_utf8_lossy(&output.stderr);
-        let expected =
-            format!("built for ROS 2 {built}, and the librmw that is loaded is of {}: build it", word(by));
-        if !output.status.success() && said.contains(&expected) { Ok(()) } else { Err(said.into_owned()) }
-    });
 }

@@ -2,7 +2,7 @@
 //! A real ROS 2 from PyPI, in a Python environment under the target directory: rclpy, Fast DDS, message packages.
 
 use crate::steps::execute;
-use crate::{files, machine, r2r, word};
+use crate::{files, machine, word};
 use clap::ValueEnum;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -68,19 +68,6 @@ const OTHERS: [&str; 8] = [
     "mcap==1.6.0",
     "mcap-ros2-support==0.6.0",
 ];
-
-/// Makes the environment and says how to use it.
-pub fn run() -> Result<(), String> {
-    prepare()?;
-    let setup = r2r::setup_file()?;
-    println!("ROS 2 {} is in {}. To build and run the bridge with it:", distribution(), venv().display());
-    println!("  source {}", setup.display());
-    println!(
-        "  cargo build --release --manifest-path bridge-ros/Cargo.toml --target-dir {}",
-        machine::target_dir().display()
-    );
-    Ok(())
-}
 
 /// The folder of all that is of a distribution. Tests look for it by this name.
 pub fn folder_of(distribution: Distribution) -> PathBuf {

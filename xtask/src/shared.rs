@@ -5,7 +5,8 @@
 
 use crate::build::{WHOLE, most};
 use crate::steps::{cargo, json_of};
-use crate::{bridge, lab, machine, programs, rmw};
+use crate::with_ros::RMW;
+use crate::{bridge, lab, machine, programs};
 use serde_json::Value;
 use std::collections::HashSet;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -15,7 +16,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 pub fn check() -> Result<(), String> {
     let apart = [
         ("bridge-ros", bridge::WHOLE),
-        ("rmw", rmw::WHOLE),
+        ("rmw", RMW),
         ("r2r-programs", programs::WHOLE),
         ("benches", lab::WHOLE),
     ];
