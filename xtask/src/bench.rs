@@ -3,7 +3,7 @@
 
 use crate::build::Build;
 use crate::steps::{cargo, execute};
-use crate::{bridge, compare, lab, r2r, rmw, word};
+use crate::{bridge, compare, lab, rmw, word};
 use clap::{Arg, ArgMatches, FromArgMatches, Subcommand, ValueEnum};
 use std::process::Command;
 

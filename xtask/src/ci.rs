@@ -6,6 +6,7 @@
 use crate::background::Background;
 use crate::bench::{self, Name};
 use crate::build::{Build, TARGETS, WHOLE, WITH_GATEWAY, WITH_ROS};
+use crate::debian::{self, Architecture};
 use crate::guests::{Extent, Guest};
 use crate::machine::{self, Scope};
 use crate::ros::Distribution;
@@ -169,7 +170,7 @@ fn prepare(steps: &mut Steps) {
     steps.step("gateway: packages", packages::firewall);
     steps.step("lttng: packages", lttng::prepare);
     steps.step("guests: packages", || guests::prepare(&GUESTS).unless_ci());
-    steps.step("for aarch64: compiler", || guests::debian::compiler(guests::Architecture::Arm64).map(drop));
+    steps.step("for aarch64: compiler", || debian::compiler(Architecture::Arm64).map(drop));
     ros::choose(Distribution::Kilted);
     steps.step(&ros::step("ros"), || Outcome::from(ros::prepare()).unless_ci());
 }
@@ -202,7 +203,7 @@ fn for_aarch64(steps: &mut Steps) {
         let mut command = cargo("build --locked --release -p tautline -p taut");
         // It is not run here.
         command.env("CARGO_PROFILE_RELEASE_OPT_LEVEL", "0");
-        execute(guests::debian::cross(&mut command, guests::Architecture::Arm64)?)
+        execute(debian::cross(&mut command, Architecture::Arm64)?)
     });
 }
 

@@ -2,7 +2,7 @@
 //! The programs of other middleware that Tautline is measured beside: those that can be built here.
 
 use crate::build::{Build, build};
-use crate::guests::debian;
+use crate::debian;
 use crate::steps::{self, execute};
 use crate::{files, lab, machine, r2r};
 use std::path::{Path, PathBuf};

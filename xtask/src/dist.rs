@@ -16,7 +16,7 @@ mod crates;
 mod licences;
 
 use crate::build::{Build, SAME};
-use crate::guests::debian::{self, Architecture};
+use crate::debian::{self, Architecture};
 use crate::ros::Distribution;
 use crate::steps::{Outcome, Steps, cargo, execute, stdout_of};
 use crate::{files, machine, pages, r2r, rmw, ros, word};

@@ -5,22 +5,20 @@
 //!
 //! | module | holds |
 //! |---|---|
-//! | `debian` | packages that guests and their compiler are made of, unpacked under the target directory |
 //! | `image` | the file system that a guest starts with |
 //! | `emulator` | a guest while it runs, and what it says |
 //! | `init.sh` | its first process |
 
-pub mod debian;
 mod emulator;
 mod image;
 
 use crate::build::{SAME, TARGETS};
+use crate::debian::{self, Architecture};
 use crate::lints::{self, Executable};
 use crate::ros::Distribution;
 use crate::steps::{self, Outcome, Steps};
 use crate::{examples, files, machine, packages, rmw, ros, word};
 use clap::ValueEnum;
-pub use debian::Architecture;
 use emulator::Report;
 use image::Image;
 use std::path::{Path, PathBuf};

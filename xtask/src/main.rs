@@ -11,6 +11,7 @@ mod ci;
 mod colcon;
 mod compare;
 mod compiler;
+mod debian;
 mod dependencies;
 mod dist;
 mod examples;
@@ -227,7 +228,7 @@ Wheels need Python 3.10 to 3.13 and PyPI, the SBOM a tool that is built in a min
         only: Vec<Part>,
         /// Programs for machines of this architecture, cross-compiled unless it is this machine's, which is the default
         #[arg(long, value_name = "NAME", value_enum)]
-        architecture: Option<guests::Architecture>,
+        architecture: Option<debian::Architecture>,
         /// Build the programs of the last commit once more in another folder, and compare their bytes
         #[arg(long, conflicts_with = "architecture")]
         verify: bool,
@@ -344,7 +345,7 @@ fn main() -> ExitCode {
             guests::run(steps, &only, extent);
         }),
         Verb::Dist { only, architecture, verify, distro } => as_steps(|steps| {
-            let architecture = architecture.unwrap_or_else(guests::Architecture::here);
+            let architecture = architecture.unwrap_or_else(debian::Architecture::here);
             dist::run(steps, &only, architecture, verify, distro);
         }),
         Verb::Release { dry_run } => as_steps(|steps| release::run(steps, dry_run)),

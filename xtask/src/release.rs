@@ -3,7 +3,7 @@
 //! of the last tag had, and how programs of both get on with each other.
 
 use crate::build::{Build, SAME};
-use crate::guests::Architecture;
+use crate::debian::Architecture;
 use crate::machine::Scope;
 use crate::running::Running;
 use crate::steps::{Outcome, Steps, cargo, execute, stdout_of};

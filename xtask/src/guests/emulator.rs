@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A guest while it runs, and what it says.
 
-use super::debian::{self, Architecture};
+use crate::debian::{self, Architecture};
 use crate::files;
 use crate::running::Running;
 use std::cell::RefCell;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The file system that a guest starts with: an archive in the format that the kernel reads (cpio, newc).
 
-use super::debian::Architecture;
+use crate::debian::Architecture;
 use crate::files;
 use std::collections::BTreeSet;
 use std::fs::{self, File};

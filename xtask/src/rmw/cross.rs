@@ -4,8 +4,7 @@
 
 use super::LIBRARY;
 use crate::build;
-use crate::guests::Architecture;
-use crate::guests::debian;
+use crate::debian::{self, Architecture};
 use crate::steps::{Outcome, cargo, execute, stdout_of};
 use crate::{files, packages, r2r, ros};
 use std::fs;
