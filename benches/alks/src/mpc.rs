@@ -18,7 +18,7 @@ use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver, NonnegativeCone
 use crate::signals::{PLAN_POINTS, Trajectory};
 
 /// Steps ahead.
-pub const HORIZON: usize = 60;
+pub const HORIZON: usize = PLAN_POINTS;
 /// Between two of them, in s.
 pub const PLAN_STEP_S: f64 = 0.05;
 pub const ITERATIONS: u32 = 40;

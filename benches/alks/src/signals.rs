@@ -4,7 +4,8 @@
 pub const MAX_VEHICLES: usize = 8;
 /// Lines in a message: the ego lane's two and the next ones on either side.
 pub const LINES: usize = 4;
-pub const PLAN_POINTS: usize = crate::mpc::HORIZON;
+/// Points of a plan.
+pub const PLAN_POINTS: usize = 60;
 
 /// What the topics of 50 Hz say of one step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -3,8 +3,7 @@
 
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
 
-use crate::job::{Exchange, Job, Line, Measured, say};
-use crate::near::WARM_UP_SHARE;
+use crate::job::{Exchange, Job, Line, Measured, WARM_UP_SHARE, say};
 
 /// The received messages of a stream.
 #[derive(Debug, Default)]

@@ -9,8 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use tautline_rt::clock::{monotonic_ns, nanoseconds, process_cpu_ns, sleep_until_monotonic};
 
-use crate::job::{Exchange, Job, Line, Measured, Memory, say};
-use crate::near::WARM_UP_SHARE;
+use crate::job::{Exchange, Job, Line, Measured, Memory, WARM_UP_SHARE, say};
 use crate::{Result, Stamp};
 
 /// Period of messages of number 0 at full speed, and an addition per byte, so that no system is flooded before it is measured.

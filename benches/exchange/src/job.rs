@@ -21,6 +21,8 @@ pub const PEERS: &str = "TAUTLINE_EXCHANGE_PEERS";
 const SMALL_BYTES: usize = 64 << 10;
 /// `SCHED_FIFO` priority of the thread that sends or runs callbacks.
 pub const APPLICATION_PRIORITY: u8 = 50;
+/// The warm-up lasts this fraction (1/8) of the measuring time.
+pub(crate) const WARM_UP_SHARE: u32 = 8;
 
 /// The endpoint of an exchange.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

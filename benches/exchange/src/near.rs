@@ -7,7 +7,7 @@ use std::time::Duration;
 use tautline_rt::clock::{monotonic_ns, nanoseconds, process_cpu_ns};
 use tautline_rt::page_faults;
 
-use crate::job::{Exchange, Job, Line, Measured, Memory, Role, say};
+use crate::job::{Exchange, Job, Line, Measured, Memory, Role, WARM_UP_SHARE, say};
 use crate::{Arrivals, Result};
 
 /// A round trip of this length lost a wake-up, which a clean-up repaired later, or the machine stood still.
@@ -18,8 +18,6 @@ pub const PATIENCE: Duration = Duration::from_millis(500);
 const CONNECTING: Duration = Duration::from_millis(50);
 /// Without any answer for this long, there is no connection.
 const NEVER: Duration = Duration::from_secs(20);
-/// The warm-up lasts this fraction (1/8) of the measuring time.
-pub(crate) const WARM_UP_SHARE: u32 = 8;
 /// Minimum of round trips of the warm-up.
 const WARM_UP: u64 = 30;
 /// Capacity for times.
