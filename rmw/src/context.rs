@@ -141,12 +141,19 @@ impl Waiters {
         // No wait succeeds in a forked child.
         let Some(mut lists) = self.lists() else { return Arc::new(Waiter::Word(FutexWord::new(0))) };
         let WaiterLists { used, free } = &mut *lists;
-        let waiter = match free.iter().rposition(|waiter| matches!(**waiter, Waiter::Bell(_))) {
+        // An endpoint holds the waiter that it wakes, also between waits. Whoever got its bell would be woken by its messages, and have fewer
+        // of the bell's bits.
+        let is_bell = |waiter: &Arc<Waiter>| waiter.bell().is_some();
+        let unused = free.iter().rposition(|waiter| is_bell(waiter) && Arc::strong_count(waiter) == 1);
+        let waiter = match unused {
             Some(at) => free.swap_remove(at),
             None => match participant.doorbell().claim_thread_bell() {
                 Ok(bell) => Arc::new(Waiter::Bell(bell)),
-                // Slower without a bell, but nothing is missed.
-                Err(_) => free.pop().unwrap_or_else(|| Arc::new(Waiter::Word(FutexWord::new(0)))),
+                // All are in use: rung for others is better than slower without a bell, but nothing is missed either way.
+                Err(_) => match free.iter().rposition(is_bell).or(free.len().checked_sub(1)) {
+                    Some(at) => free.swap_remove(at),
+                    None => Arc::new(Waiter::Word(FutexWord::new(0))),
+                },
             },
         };
         used.push(waiter.clone());

@@ -1176,6 +1176,32 @@ fn wait_sets_have_no_limit() {
     }
 }
 
+/// A node that waits no longer, and another one that begins to.
+#[test]
+fn a_wait_set_gets_no_bell_that_is_rung_for_another_ones_endpoints() {
+    let mut world = World::new(38);
+    let of = support("geometry_msgs", "Point");
+    // SAFETY: rmw's protocol.
+    unsafe {
+        let subscription = world.subscription(of, &profile(1));
+        let set = wait::rmw_create_wait_set(&mut *world.context, 0);
+        let soon = rmw_time_t { sec: 0, nsec: 1 };
+        assert_eq!(wait_for(set, (*subscription).data, &mut [], &soon), (RET_TIMEOUT, false));
+        assert_eq!(wait::rmw_destroy_wait_set(set), RET_OK);
+        let context = &*world.context.impl_.cast::<context::Context>();
+        let holders = || {
+            let waiter = context.waiters.claim(&context.participant);
+            let holders = (waiter.bell().is_some(), Arc::strong_count(&waiter));
+            context.waiters.give_back(waiter);
+            holders
+        };
+        // The test and the list: nothing that rings it.
+        assert_eq!(holders(), (true, 2));
+        assert_eq!(subscription::rmw_destroy_subscription(world.node, subscription), RET_OK);
+        assert_eq!(holders(), (true, 2));
+    }
+}
+
 /// After memory has been claimed, publishing, waiting and taking allocate nothing.
 #[test]
 fn nothing_is_allocated_on_a_messages_way() {
