@@ -16,7 +16,9 @@ use std::ffi::{c_char, c_void};
 use std::future::poll_fn;
 use std::sync::{Arc, Weak};
 use std::task::Poll;
-use tautline_transport::{Gid, QueuedClient, RawSample, RawSubscription, ServiceError};
+use tautline_rt::clock::monotonic_ns;
+use tautline_sampler::{Alarm, Events};
+use tautline_transport::{Gid, LoanError, QueuedClient, RawSample, RawSubscription, ServiceError};
 
 pub(crate) struct Client {
     node: NodeOfEndpoint,
@@ -32,13 +34,17 @@ pub(crate) struct Client {
 handle!(rmw_client_t, Client, "the client");
 
 pub(crate) struct Asking {
-    raw: QueuedClient,
+    pub(crate) raw: QueuedClient,
     /// Requests that found no server or a full queue, with their sequence numbers.
     unsent: VecDeque<(u64, Vec<u8>)>,
+    /// Whether the first of them could not be sent although a server has room.
+    pub(crate) has_failed: bool,
 }
 
 /// Maximum of requests per client that wait for a server; more are refused.
 const MOST_UNSENT: usize = Depth::ROOM;
+/// The interval at which a waiting request is sent again that could not be sent: nothing tells when there is memory for it.
+const RETRY_NS: u64 = 100_000_000;
 
 impl MessageQueue for Asking {
     const IS_TOPIC: bool = false;
@@ -61,21 +67,22 @@ fn is_to_wait(error: &ServiceError) -> bool {
 
 impl Asking {
     /// Sends waiting requests in order, as far as servers have room.
-    fn flush(&mut self) -> Result {
+    fn flush(&mut self) -> Result<(), ServiceError> {
         while self.flush_one()? {}
         Ok(())
     }
 
     /// Sends the first waiting request, if there is one and a server has room. Returns whether it did.
-    fn flush_one(&mut self) -> Result<bool> {
+    fn flush_one(&mut self) -> Result<bool, ServiceError> {
         let Some((number, body)) = self.unsent.front() else { return Ok(false) };
         let mut loan = self.raw.loan(body.len())?;
         loan.copy_from_slice(body);
         match self.raw.send(*number, loan) {
             Ok(()) => {}
             Err(unsent) if is_to_wait(&unsent.error) => return Ok(false),
-            Err(unsent) => return Err(unsent.error.into()),
+            Err(unsent) => return Err(unsent.error),
         }
+        self.has_failed = false;
         self.unsent.pop_front();
         Ok(true)
     }
@@ -119,8 +126,9 @@ impl Client {
     }
 }
 
-/// Sends waiting requests when a server appears or has room, until the client is destroyed.
-async fn serve(end: Weak<ReceivingEndpoint<Asking>>, listeners: Arc<Listeners>) {
+/// Sends waiting requests when a server appears or has room, and again while that fails, until the client is destroyed.
+async fn serve(end: Weak<ReceivingEndpoint<Asking>>, listeners: Arc<Listeners>, events: Events) {
+    let mut retry = None;
     poll_fn(|context| {
         let Some(end) = end.upgrade() else { return Poll::Ready(()) };
         let mut flushed = end.with(|asking| {
@@ -132,8 +140,19 @@ async fn serve(end: Weak<ReceivingEndpoint<Asking>>, listeners: Arc<Listeners>) 
             flushed = end.with(Asking::flush_one);
         }
         listeners.notify();
-        if let Err(error) = flushed {
-            tracing::warn!("a request was not sent, retrying: {error:?}");
+        match flushed {
+            Ok(_) => retry = None,
+            Err(ServiceError::Loan { source: LoanError::Ended, .. }) => return Poll::Ready(()),
+            Err(error) => {
+                if !end.with(|asking| std::mem::replace(&mut asking.has_failed, true)) {
+                    tracing::warn!("a request was not sent, and is sent again until that succeeds: {error}");
+                }
+                retry = retry.take().or_else(|| Alarm::new(&events).ok());
+                if let Some(alarm) = &mut retry {
+                    alarm.set(Some(monotonic_ns() + RETRY_NS));
+                    let _ = alarm.poll(context);
+                }
+            }
         }
         Poll::Pending
     })
@@ -158,9 +177,11 @@ exported! {
         let context = node.context();
         let listeners = &context.listeners;
         let (requests, responses) = (listeners.of_requests(name), listeners.of_responses(name));
-        let end = ReceivingEndpoint::new(node, Asking { raw, unsent: VecDeque::new() }, responses)?;
+        let asking = Asking { raw, unsent: VecDeque::new(), has_failed: false };
+        let end = ReceivingEndpoint::new(node, asking, responses)?;
         let (served, listeners) = (Arc::downgrade(&end), requests.clone());
-        context.helper.run(move || serve(served, requests));
+        let events = context.helper.events().clone();
+        context.helper.run(move || serve(served, requests, events));
         let client =
             Client { node: node.into(), of, qos: qos::to_ros(&wanted, false), depth, gid, listeners, end };
         node.hand_out(name, client, |_| ())

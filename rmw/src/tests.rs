@@ -17,6 +17,7 @@ use std::sync::mpsc::channel;
 use std::sync::{Arc, Barrier, Mutex};
 use tautline_rt::Policy;
 use tautline_rt::permission::{realtime_permitted, test_needs};
+use tautline_transport::RawLoan;
 
 /// Counts a thread's allocations.
 struct Counting;
@@ -1129,6 +1130,38 @@ fn the_newest_request_of_several_clients_is_kept() {
         for client in clients {
             assert_eq!(client::rmw_destroy_client(world.node, client), RET_OK);
         }
+        assert_eq!(service::rmw_destroy_service(world.node, server), RET_OK);
+    }
+}
+
+/// All samples of its publisher are in use, as if /dev/shm were full for a while.
+#[test]
+fn a_waiting_request_that_could_not_be_sent_is_sent_again() {
+    let world = World::new(39);
+    let of = service_support("std_srvs", "Empty");
+    let mut byte = 0u8;
+    let message: *mut c_void = (&raw mut byte).cast();
+    // SAFETY: rmw's protocol; requests are one byte.
+    unsafe {
+        let client = client::rmw_create_client(world.node, of, c"/service".as_ptr(), &profile(10));
+        let mut number = 0;
+        assert_eq!(client::rmw_send_request(client, message, &mut number), RET_OK, "{}", said());
+        let end = (*(*client).data.cast::<client::Client>()).end();
+        let loans: Vec<_> = end.with(|asking| {
+            // Dropped below, before the client, by this thread.
+            let loan = |_| std::mem::transmute::<RawLoan<'_>, RawLoan<'static>>(asking.raw.loan(1).unwrap());
+            (0..types::HELD).map(loan).collect()
+        });
+        let server = service::rmw_create_service(world.node, of, c"/service".as_ptr(), &profile(10));
+        wait_until(|| end.with(|asking| asking.has_failed));
+        end.with(|_| drop(loans));
+        let mut taken = false;
+        wait_until(|| {
+            let mut header = rmw_service_info_t::default();
+            assert_eq!(service::rmw_take_request(server, &mut header, message, &mut taken), RET_OK);
+            taken
+        });
+        assert_eq!(client::rmw_destroy_client(world.node, client), RET_OK);
         assert_eq!(service::rmw_destroy_service(world.node, server), RET_OK);
     }
 }
