@@ -82,26 +82,27 @@ impl Depth {
     /// Takes the oldest kept message. `lose` gets the messages before it.
     ///
     /// # Real-time
-    /// Like `take`, at most once per waiting message.
+    /// Like `take`, and O(clients or servers), at most once per waiting message.
     pub(crate) fn take(
         self,
         queue: &RawSubscription,
         take: impl Fn() -> std::result::Result<Option<RawSample>, TakeError>,
         lose: impl Fn(RawSample),
     ) -> std::result::Result<Option<RawSample>, TakeError> {
+        let take = || {
+            if self.kept < u64::MAX {
+                // Those of several clients or servers come in turns, not in the order of their times.
+                queue.turn_to_oldest();
+            }
+            take()
+        };
         let mut oldest = take()?;
         for _ in self.kept..queue.waiting().saturating_add(1) {
             if queue.waiting() < self.kept {
                 break;
             }
             let Ok(Some(next)) = take() else { break };
-            // Those of several clients or servers come in turns, not in the order of their times.
-            let released_ns = |sample: &RawSample| sample.info().released_ns;
-            if oldest.as_ref().is_some_and(|kept| released_ns(&next) < released_ns(kept)) {
-                lose(next);
-            } else {
-                oldest.replace(next).into_iter().for_each(&lose);
-            }
+            oldest.replace(next).into_iter().for_each(&lose);
         }
         Ok(oldest)
     }

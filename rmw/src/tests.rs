@@ -1099,38 +1099,46 @@ fn services_and_clients_keep_as_much_as_they_are_asked_to() {
     assert_eq!(taken_of_five(82, 0, 0), (vec![1, 2, 3, 4, 5], vec![1, 2, 3, 4, 5]));
 }
 
-#[test]
-fn the_newest_request_of_several_clients_is_kept() {
-    let world = World::new(37);
+/// Sends requests of two clients in several orders to a server of this depth, which is to take the newest.
+fn take_newest_of_two_clients(domain: usize, depth: usize) {
+    let world = World::new(domain);
     let of = service_support("std_srvs", "Empty");
     let mut byte = 0u8;
     let message: *mut c_void = (&raw mut byte).cast();
     // SAFETY: rmw's protocol; requests are one byte.
     unsafe {
-        let server = service::rmw_create_service(world.node, of, c"/service".as_ptr(), &profile(1));
+        let server = service::rmw_create_service(world.node, of, c"/service".as_ptr(), &profile(depth));
         let client = || client::rmw_create_client(world.node, of, c"/service".as_ptr(), &profile(10));
         let clients = [client(), client()];
         let send = |client: usize| {
             let mut number = 0;
             assert_eq!(client::rmw_send_request(clients[client], message, &mut number), RET_OK, "{}", said());
+            number
         };
         let take = || {
             let (mut header, mut taken) = (rmw_service_info_t::default(), false);
             assert_eq!(service::rmw_take_request(server, &mut header, message, &mut taken), RET_OK);
-            taken.then_some(header.request_id.writer_guid)
+            taken.then_some((header.request_id.writer_guid, header.request_id.sequence_number))
         };
         let gids = [0, 1].map(|client| {
             send(client);
-            take().unwrap()
+            take().unwrap().0
         });
-        for order in [[0, 1], [1, 0]] {
-            order.into_iter().for_each(send);
-            assert_eq!((take(), take()), (Some(gids[order[1]]), None), "{order:?}");
+        for order in [[0, 0, 1, 1], [1, 1, 0, 0], [0, 1, 1, 0], [1, 0, 0, 1]] {
+            let sent = order.map(|client| (gids[client], send(client)));
+            assert_eq!(std::iter::from_fn(take).collect::<Vec<_>>(), sent[4 - depth..], "{order:?}");
         }
         for client in clients {
             assert_eq!(client::rmw_destroy_client(world.node, client), RET_OK);
         }
         assert_eq!(service::rmw_destroy_service(world.node, server), RET_OK);
+    }
+}
+
+#[test]
+fn the_newest_requests_of_several_clients_are_kept() {
+    for (domain, depth) in [(37, 1), (40, 2), (41, 3)] {
+        take_newest_of_two_clients(domain, depth);
     }
 }
 

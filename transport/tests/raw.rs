@@ -122,6 +122,31 @@ fn a_body_has_its_length_its_alignment_and_a_zeroed_tail() {
 
 /// A take that comes before the janitor has mapped a new segment has the sample out of the queue, and it is there nevertheless.
 #[test]
+fn publishers_have_turns_unless_the_oldest_sample_is_asked_for() {
+    let participant = Participant::new(domain(171)).unwrap();
+    let text = TopicType::new(TEXT);
+    let qos = Qos::keep_all(9);
+    let publish = || participant.create_raw_publisher("/turns", &text, qos, limits(1)).unwrap();
+    let publishers = [publish(), publish()];
+    let subscription = participant.create_raw_subscription("/turns", &text, qos, limits(1)).unwrap();
+    for order in [[0, 1, 1, 0, 0, 1], [1, 0, 0, 1, 1, 0]] {
+        for is_asked in [false, true] {
+            for (n, publisher) in (0..).zip(order) {
+                publishers[publisher].publish(&[n]).unwrap();
+            }
+            let next = || {
+                if is_asked {
+                    subscription.turn_to_oldest();
+                }
+                take(&subscription).map(|sample| sample.body()[0])
+            };
+            let taken: Vec<_> = std::iter::from_fn(next).collect();
+            assert_eq!(taken == [0, 1, 2, 3, 4, 5], is_asked, "{order:?}: {taken:?}");
+        }
+    }
+}
+
+#[test]
 fn a_sample_that_could_not_be_reached_yet_is_seen_to_be_there() {
     let domain = domain(172);
     let (here, there) = (Participant::new(domain).unwrap(), Participant::new(domain).unwrap());

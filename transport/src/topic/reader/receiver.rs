@@ -346,6 +346,26 @@ impl Receiver {
         }
     }
 
+    /// When its oldest sample was released, on `CLOCK_MONOTONIC`: the sample is parked for the next take. `None`: there is none that can be
+    /// reached.
+    ///
+    /// # Real-time
+    /// As [`take_oldest`](Self::take_oldest).
+    ///
+    /// # Safety
+    /// For the thread that takes, of a live receiver.
+    unsafe fn oldest_released_ns(&self, segments: &SegmentViews) -> Option<u64> {
+        // SAFETY: as the caller promises.
+        let half = unsafe { &mut *self.half.get() };
+        if half.parked.is_none() {
+            // SAFETY: as the caller promises.
+            half.parked = unsafe { self.next_chunk(half, segments) };
+        }
+        let (_, payload) = locate(half.parked?, segments)?;
+        // SAFETY: as in `take_oldest`.
+        Some(unsafe { payload.cast::<u8>().byte_sub(HEADER_BYTES).cast::<SampleHeader>().read() }.released_ns)
+    }
+
     /// How many samples came that were neither taken nor found to be lost.
     ///
     /// # Real-time
@@ -459,6 +479,22 @@ impl TakeState {
             }
         }
         None
+    }
+
+    /// Lets the next take begin with the publisher whose oldest sample was released first.
+    ///
+    /// # Real-time
+    /// O(publishers); no allocation; no syscall.
+    pub(crate) fn turn_to_oldest(&mut self) {
+        let is_live = |(_, entry): &(usize, &WriterEntry)| entry.receiver.turn.is_live();
+        let entries = self.table.current().entries().enumerate();
+        let oldest = entries.filter(is_live).filter_map(|(place, entry)| {
+            // SAFETY: it is live, and this is the thread that takes.
+            Some((unsafe { entry.receiver.oldest_released_ns(&entry.segments) }?, place))
+        });
+        if let Some((_, place)) = oldest.min() {
+            (self.next, self.in_a_row) = (place, 0);
+        }
     }
 
     /// Whether this publisher is connected, and has not ended.

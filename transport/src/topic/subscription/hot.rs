@@ -148,6 +148,17 @@ impl RawSubscription {
         take_state.waiting()
     }
 
+    /// Lets the next take begin with the sample that was released first: otherwise publishers have turns, and only each one's samples come in
+    /// their order.
+    ///
+    /// # Real-time
+    /// O(publishers); no allocation; no syscall.
+    pub fn turn_to_oldest(&self) {
+        let mut take_state = self.take_state.borrow_mut();
+        take_state.refresh();
+        take_state.turn_to_oldest();
+    }
+
     /// Whether this publisher is connected, and has not ended.
     pub(crate) fn has_publisher(&self, publisher: Gid) -> bool {
         let mut take_state = self.take_state.borrow_mut();
