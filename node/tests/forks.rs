@@ -3,6 +3,8 @@
 
 mod common;
 
+use std::io::Read;
+use std::os::fd::AsRawFd;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::{Duration, Instant};
 
@@ -10,6 +12,7 @@ use common::{Log, Number};
 use futures::StreamExt;
 use tautline::{CallbackOptions, Context, LoanError, Node, PublishError, Qos, Realtime};
 use tautline_rt::clock::test_time;
+use tautline_system::{Admission, Gate};
 
 /// Runs in a forked child, which then ends without anything else of a process's end. A child that hangs is killed after a minute.
 fn in_a_fork(run: impl FnOnce()) {
@@ -74,4 +77,26 @@ fn a_child_ends_or_begins_anew_and_its_parent_goes_on() {
     assert_eq!(HEARD.wait_for(3), [1, 3, 4]);
     ends.3.shutdown();
     spinning.join().unwrap().unwrap();
+}
+
+#[test]
+fn a_child_does_not_keep_the_gate_of_a_parent_that_is_killed() {
+    const DOMAIN: u32 = 214;
+    let _context = Context::builder().domain(DOMAIN).realtime(Realtime::Off).build().unwrap();
+    let (until, here) = std::io::pipe().unwrap();
+    in_a_fork(|| {
+        let gate = Gate::enter(DOMAIN, Admission::Check).unwrap();
+        // SAFETY: its child has only this thread and does not return from here.
+        if unsafe { libc::fork() } == 0 {
+            // SAFETY: the child's own copy, which nothing else of it uses.
+            unsafe { libc::close(here.as_raw_fd()) };
+            let _ = (&until).read(&mut [0]);
+            // SAFETY: ends the process.
+            unsafe { libc::_exit(0) };
+        }
+        // As if it were killed.
+        std::mem::forget(gate);
+    });
+    assert!(Gate::is_free(DOMAIN), "its child runs until this process ends the pipe");
+    drop(here);
 }

@@ -16,13 +16,14 @@ use crate::loaded::LoadedSystem;
 use crate::statistics::shared_statistics;
 use std::cell::OnceCell;
 use std::fs::{File, TryLockError};
+use std::os::fd::AsFd;
 use std::path::Path;
 use std::time::Duration;
 use tautline_analysis::file::admission::{Broken, Candidate, LooseThread, Machine, Share};
 use tautline_analysis::file::{CheckedCallback, CheckedSystem, SystemFile};
 use tautline_analysis::{Release, Reservation};
 use tautline_executor::{Admitted, CallbackOptions, CallbackSnapshot, ProcessInfo, ProcessSnapshot};
-use tautline_rt::{Patience, Policy, domain::shared_path};
+use tautline_rt::{Patience, Policy, domain::shared_path, fork::ProcessFd};
 
 /// Whether new load is checked against the load that runs in the domain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -218,7 +219,7 @@ pub fn label_of(process: &ProcessInfo) -> String {
 
 /// Held by the process that is being admitted; the kernel releases it if that process dies.
 #[derive(Debug)]
-pub struct Gate(Option<File>);
+pub struct Gate(Option<ProcessFd>);
 
 impl Gate {
     /// Locks the folder of a domain that this process has joined.
@@ -227,13 +228,11 @@ impl Gate {
     /// [`SystemError::AdmissionBusy`], [`SystemError::Unreadable`].
     pub fn enter(domain: u32, mode: Admission) -> Result<Gate> {
         let path = shared_path(domain);
-        let unreadable = |source| SystemError::Unreadable { domain, source };
-        let folder = File::open(&path).map_err(unreadable)?;
         let mut patience = Patience::new(PATIENCE);
         loop {
-            match folder.try_lock() {
-                Ok(()) => break,
-                Err(TryLockError::Error(error)) => return Err(unreadable(error)),
+            match Gate::try_enter(&path) {
+                Ok(gate) => return Ok(gate),
+                Err(TryLockError::Error(source)) => return Err(SystemError::Unreadable { domain, source }),
                 Err(TryLockError::WouldBlock) if !patience.is_over() => {
                     std::thread::sleep(Duration::from_millis(1));
                 }
@@ -243,21 +242,30 @@ impl Gate {
                 }
             }
         }
-        Ok(Gate(Some(folder)))
+    }
+
+    fn try_enter(path: &Path) -> std::result::Result<Gate, TryLockError> {
+        // A child that is forked between these would keep the lock.
+        let folder = ProcessFd::make(|| {
+            let folder = File::open(path).map_err(TryLockError::Error)?;
+            folder.try_lock()?;
+            Ok(folder.into())
+        });
+        folder.map(|folder| Gate(Some(folder)))
     }
 
     /// Whether no process holds the gate of a domain.
     pub fn is_free(domain: u32) -> bool {
-        File::open(shared_path(domain))
-            .is_ok_and(|folder| folder.try_lock().is_ok_and(|()| folder.unlock().is_ok()))
+        Gate::try_enter(&shared_path(domain)).is_ok()
     }
 }
 
 impl Drop for Gate {
-    /// Unlocks explicitly: a child that another thread has forked may keep the descriptor open until its exec.
+    /// Unlocks explicitly: a child that another thread has spawned may keep the descriptor open until its exec.
     fn drop(&mut self) {
-        if let Some(folder) = &self.0 {
-            let _ = folder.unlock();
+        let folder = self.0.as_ref().map(|folder| folder.as_fd().try_clone_to_owned());
+        if let Some(Ok(folder)) = folder {
+            let _ = File::from(folder).unlock();
         }
     }
 }
