@@ -497,7 +497,8 @@ pub fn begin_for(callback: ObjectId, release_ns: u64) -> Job {
 }
 
 impl Job {
-    /// Ends the job and records its response and execution time. Call it on the thread that began the job.
+    /// Ends the job and records its response and execution time. Call it on the thread that began the job: on another one it does not
+    /// complete, and disturbs none of that thread's jobs.
     ///
     /// # Real-time
     /// Wait-free; no allocation; one syscall to read the CPU clock. None if execution times are not measured, if the thread busy-polls, or,
@@ -508,8 +509,8 @@ impl Job {
     pub fn finish(mut self) {
         let begun = self.begun.take();
         let ended = |thread: &CallbackThread| {
-            let (begun, to) = (begun?, thread.measured.as_ref()?);
-            Some(to.end(begun, thread.input_size.take(), &to.stats))
+            let to = thread.measured.as_ref().filter(|_| thread.address() == self.thread)?;
+            Some(to.end(begun?, thread.input_size.take(), &to.stats))
         };
         let job = current(ended).flatten();
         tautline_trace::callback_end(self.callback, job.as_ref().and_then(|job| job.execution_ns));

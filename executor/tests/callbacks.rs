@@ -291,6 +291,28 @@ fn an_input_size_is_that_of_the_job_that_stated_it() {
 }
 
 #[test]
+fn a_job_that_another_thread_finishes_is_not_a_job_of_that_thread() {
+    let executor = Executor::new(Realtime::Off);
+    let (send, sent) = oneshot::channel();
+    let begins = async move { send.send(job::begin(clock::monotonic_ns())).unwrap() };
+    let finishes = async move {
+        let own = job::begin(clock::monotonic_ns());
+        job::set_input_size(7);
+        sent.await.unwrap().finish();
+        own.finish();
+    };
+    let callbacks = [
+        executor.spawn_callback(CallbackOptions::other(), begins).unwrap(),
+        executor.spawn_callback(CallbackOptions::other(), finishes).unwrap(),
+    ];
+    let stats = callbacks.each_ref().map(|callback| callback.stats().clone());
+    callbacks.into_iter().for_each(|callback| callback.join().unwrap());
+    assert_eq!(stats.each_ref().map(|of| (of.releases(), of.completions())), [(1, 0), (1, 1)]);
+    let inputs = tautline_executor::CallbackSnapshot::of(&stats[1]).unwrap().inputs;
+    assert_eq!((inputs.len(), inputs[0].least), (1, 7), "its own job's size");
+}
+
+#[test]
 fn outside_a_callback_thread_jobs_are_nothing() {
     job::begin(0).finish();
     job::set_input_size(1);
