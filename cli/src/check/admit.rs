@@ -25,6 +25,8 @@ pub struct Verdict<'a> {
     /// The running processes.
     beside: &'a [String],
     broken: Vec<String>,
+    /// What was not looked at.
+    notes: &'a [String],
 }
 
 /// The name that the file gives to this host: `TAUT_HOST`, or the file's only host.
@@ -67,6 +69,7 @@ impl Admitted {
             domain: self.domain,
             beside: &self.running.processes,
             broken: self.admission.broken.iter().map(ToString::to_string).collect(),
+            notes: &self.running.notes,
         }
     }
 
@@ -87,5 +90,27 @@ impl Admitted {
         let text = format!("Not admitted to domain {domain}, beside {beside}:");
         writeln!(out, "{BAD}{}{BAD:#}", wrap(&text))?;
         admission.broken.iter().try_for_each(|broken| writeln!(out, "- {broken}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn people_and_scripts_are_told_what_was_not_looked_at() {
+        let text = "[hosts.robot]\ncores = 1\n[nodes.n]\n[topics]\na = { period = \"100ms\" }\n\
+                    [callbacks.drive]\ntopic = \"a\"\nwcet = \"10ms\"\npriority = 50\n";
+        let file = SystemFile::parse(text).unwrap();
+        let mut running = Running::default();
+        running.notes.push("a process is not looked at".to_owned());
+        let candidate = Candidate::File(Share { file: &file, host: "robot", label: "system.toml" });
+        let admission = running.machine().admit(&candidate);
+        let admitted = Admitted { domain: 3, running, admission };
+        let mut shown = Vec::new();
+        admitted.write(&mut shown).unwrap();
+        assert!(String::from_utf8_lossy(&shown).contains("a process is not looked at"));
+        let verdict = serde_json::to_value(admitted.json()).unwrap();
+        assert_eq!(verdict["notes"], serde_json::json!(["a process is not looked at"]));
     }
 }
