@@ -73,6 +73,8 @@ fn range(text: &str) -> Result<RangeInclusive<f64>, String> {
 struct Flow {
     label: String,
     pid: Option<u32>,
+    /// Whether the graph had it: from then on it ends when the graph has it no more.
+    is_listed: bool,
     first: Sent,
     last: Sent,
     /// Times between two messages.
@@ -89,7 +91,7 @@ struct Flow {
 impl Flow {
     fn new(label: String, pid: Option<u32>, first: Sent, lost: Option<u64>) -> Self {
         let (periods, unseen, sizes, number) = (Times::default(), 0, None, 0);
-        Flow { label, pid, first, last: first, periods, unseen, sizes, lost, number }
+        Flow { label, pid, is_listed: true, first, last: first, periods, unseen, sizes, lost, number }
     }
 
     /// Restarts the counts.
@@ -188,6 +190,18 @@ struct Meter {
     /// The clock by which messages are counted; `None`: the system's.
     sim_clock: Option<SimClock>,
     flows: BTreeMap<Gid, Flow>,
+    /// Messages that were overwritten before they were taken here, until the counts were restarted.
+    missed_before: u64,
+}
+
+/// Forgets publishers that have ended, unless all have: if their process was restarted, their rates would be added to those of its new
+/// publishers.
+fn forget_ended(flows: &mut BTreeMap<Gid, Flow>, there: &BTreeSet<Gid>) {
+    let is_there = |gid: &Gid, flow: &Flow| !flow.is_listed || there.contains(gid);
+    flows.iter_mut().for_each(|(gid, flow)| flow.is_listed |= there.contains(gid));
+    if flows.iter().any(|(gid, flow)| is_there(gid, flow)) {
+        flows.retain(|gid, flow| is_there(gid, flow));
+    }
 }
 
 impl Meter {
@@ -203,7 +217,8 @@ impl Meter {
         if let Some(clock) = &mut sim_clock {
             clock.wait(end)?;
         }
-        Ok(Meter { domain, topic: topic.to_owned(), source, sim_clock, flows: BTreeMap::new() })
+        let (topic, flows) = (topic.to_owned(), BTreeMap::new());
+        Ok(Meter { domain, topic, source, sim_clock, flows, missed_before: 0 })
     }
 
     /// Reads counts or takes messages. Returns the time until the next update.
@@ -247,10 +262,10 @@ impl Meter {
                     let info = sample.info();
                     let flow = flows.entry(info.publisher_gid).or_insert_with(|| {
                         let graph = graph_of(self.domain).unwrap_or_default();
-                        let pid = ends(&graph, topic)
-                            .find(|end| end.gid == info.publisher_gid)
-                            .and_then(|end| end.pid);
-                        Flow::new(label(&graph, topic, info.publisher_gid), pid, Sent::default(), Some(0))
+                        let end = ends(&graph, topic).find(|end| end.gid == info.publisher_gid);
+                        let (is_listed, pid) = (end.is_some(), end.and_then(|end| end.pid));
+                        let label = label(&graph, topic, info.publisher_gid);
+                        Flow { is_listed, ..Flow::new(label, pid, Sent::default(), Some(0)) }
                     });
                     let mut at_ns = u64::try_from(info.source_timestamp_ns).unwrap_or(0);
                     if let Some(clock) = &self.sim_clock {
@@ -263,16 +278,24 @@ impl Meter {
         }
     }
 
-    /// Forgets publishers of this host that have ended, unless all have: if their process was restarted, their rates would be added to those
-    /// of its new publishers.
     fn forget_ended(&mut self) -> Outcome {
         let graph = graph_of(self.domain)?;
-        let there: BTreeSet<Gid> = ends(&graph, &self.topic).map(|end| end.gid).collect();
-        let is_there = |gid: &Gid, flow: &Flow| flow.pid.is_none() || there.contains(gid);
-        if self.flows.iter().any(|(gid, flow)| is_there(gid, flow)) {
-            self.flows.retain(|gid, flow| is_there(gid, flow));
-        }
+        forget_ended(&mut self.flows, &ends(&graph, &self.topic).map(|end| end.gid).collect());
         Ok(())
+    }
+
+    /// Restarts the counts.
+    fn restart(&mut self) {
+        self.missed_before += self.missed();
+        self.flows.values_mut().for_each(Flow::restart);
+    }
+
+    /// Messages that were overwritten before they were taken here.
+    fn missed(&self) -> u64 {
+        match &self.source {
+            Source::Counts(_) => 0,
+            Source::Messages(tap) => tap.lost() - self.missed_before,
+        }
     }
 
     /// Now, by the clock of the flows.
@@ -312,7 +335,7 @@ impl Meter {
             "from": match self.source { Source::Counts(_) => "counts", Source::Messages(_) => "messages" },
             "rate_hz": self.sum(Flow::hz),
             "bytes_per_s": self.sum(Flow::bytes_per_second),
-            "missed_here": match &self.source { Source::Counts(_) => 0, Source::Messages(tap) => tap.lost() },
+            "missed_here": self.missed(),
             "publishers": self.flows.iter().map(flow).collect::<Value>(),
         })
     }
@@ -360,7 +383,7 @@ impl Meter {
                 format!("(from the publishers' own counts{hint})")
             }
             Source::Messages(tap) => {
-                let lost = match tap.lost() {
+                let lost = match self.missed() {
                     0 => String::new(),
                     lost => {
                         format!("; {lost} of the lost messages were overwritten before they were taken here")
@@ -424,7 +447,7 @@ pub fn run(args: &RateArgs, unit: Unit, common: &CommonArgs) -> Outcome {
             out.flush()?;
             if args.expect.is_none() && since.elapsed() >= args.window {
                 since = Instant::now();
-                meter.flows.values_mut().for_each(Flow::restart);
+                meter.restart();
             }
         }
         if is_last {
@@ -499,5 +522,24 @@ mod tests {
             flow.take(number, 1_000 * number, 100);
         }
         assert_eq!((flow.lost, flow.messages()), (Some(2), 3));
+    }
+
+    #[test]
+    fn publishers_of_other_hosts_that_have_ended_are_forgotten_too() {
+        let gid = |byte| Gid([byte; 16]);
+        // One of them, 3, the graph has not had yet: its messages came before it.
+        let flow = |byte| {
+            let flow = Flow::new("x".into(), None, Sent::default(), Some(0));
+            (gid(byte), Flow { is_listed: byte != 3, ..flow })
+        };
+        let mut flows = BTreeMap::from([1, 2, 3].map(flow));
+        let mut left = |there: &[u8]| {
+            forget_ended(&mut flows, &there.iter().map(|byte| gid(*byte)).collect());
+            flows.keys().map(|gid| gid.0[0]).collect::<Vec<_>>()
+        };
+        assert_eq!(left(&[2]), [2, 3]);
+        assert_eq!(left(&[2, 3]), [2, 3]);
+        assert_eq!(left(&[2]), [2]);
+        assert_eq!(left(&[]), [2], "the last rates stay");
     }
 }
