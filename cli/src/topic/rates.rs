@@ -147,7 +147,7 @@ impl Flow {
         let span = self.last.last_ns.saturating_sub(self.first.last_ns);
         let silence = now_ns.saturating_sub(self.last.last_ns);
         let period = span / self.messages().max(1);
-        let is_silent = self.messages() > 0 && silence > 3 * period.max(10_000_000);
+        let is_silent = self.messages() > 0 && silence > period.max(10_000_000).saturating_mul(3);
         (span + if is_silent { silence - period } else { 0 }) as f64 / 1e9
     }
 
