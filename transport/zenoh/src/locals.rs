@@ -2,13 +2,14 @@
 //! The domain's endpoints in terms of the network, including those that bridges and other gateways announce in it.
 
 use crate::tokens::LocalEndpoint;
-use crate::wire::{EndpointKind, NodeName, TopicKey, TypeId, WireDuration, WireQos};
+use crate::wire::{
+    EndpointKind, MAX_NAME_BYTES, NodeName, TopicKey, TypeId, WireDuration, WireQos, is_absolute,
+};
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use tautline_relay::{LocalGraph, process_node};
 use tautline_schema::{TypeHash, TypeName};
 use tautline_transport::{Gid, Liveliness, Origin, Qos, ServiceEndpoint, ServiceKind, TopicEndpoint};
-use zenoh::key_expr::keyexpr;
 
 /// An endpoint of a topic or service, from the graph.
 struct EndpointView<'a> {
@@ -137,8 +138,11 @@ fn type_id(
     hash: Option<&str>,
     hash_of: &mut impl FnMut(&str, &TypeName) -> Option<TypeHash>,
 ) -> Result<TypeId, String> {
-    if !keyexpr::new(topic.trim_start_matches('/')).is_ok_and(|key| !key.is_wild()) {
-        return Err("its name is not a Zenoh key: remove '*', '$', '?', '#' and empty parts".to_owned());
+    // Other hosts refuse the tokens of others, or take them for those of another topic: `/a%b` is `/a/b` there.
+    if !is_absolute(topic) {
+        return Err(format!(
+            "it has no name of ROS 2: write '/' before each part, and only letters, digits and '_', at most {MAX_NAME_BYTES} bytes"
+        ));
     }
     let name: TypeName = name.parse().map_err(|_| format!("'{name}' is not a ROS 2 type name"))?;
     let hash = match hash {
@@ -178,6 +182,7 @@ pub(crate) fn wire_qos(qos: &Qos) -> WireQos {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::BTreeSet;
     use tautline_transport::{Limits, Participant, TopicType};
 
     #[test]
@@ -228,6 +233,26 @@ mod tests {
         let mut told: Vec<_> = told.map(|(topic, hash)| (topic, hash.to_string())).collect();
         told.sort();
         assert_eq!(told, listed);
+    }
+
+    /// Topics of one host may have names that no other host accepts, or takes for another topic's.
+    #[test]
+    fn what_no_other_host_would_accept_is_named() {
+        crate::tests::isolated();
+        let participant = Participant::new(213).unwrap();
+        let topic_type = empty().with_hash(format!("RIHS01_{}", "1".repeat(64)));
+        let others = ["/a%b", "/robot-1/x", "/a b", "/é", "x", "/x/", "/x//y", "/*", "/x#"];
+        let create = |topic| {
+            participant.create_raw_publisher(topic, &topic_type, Qos::default(), Limits::default()).unwrap()
+        };
+        let _ports: Vec<_> = others.into_iter().chain(["/x/y_1"]).map(create).collect();
+        let endpoints = participant.graph().unwrap().endpoints.clone();
+        let mut here = LocalGraph { endpoints, ..LocalGraph::default() };
+        let listed = list(&mut here, |_, _| None);
+        assert_eq!(listed.iter().map(|end| &*end.topic).collect::<Vec<_>>(), ["/x/y_1"]);
+        assert_eq!(here.endpoints.len(), 1);
+        let named: BTreeSet<&str> = here.problems.keys().map(String::as_str).collect();
+        assert_eq!(named, BTreeSet::from(others));
     }
 
     fn empty() -> TopicType {

@@ -25,7 +25,7 @@ mod token;
 pub use attachment::Attachment;
 pub use gid::endpoint_gid;
 pub use key::TopicKey;
-pub use names::TypeId;
+pub use names::{TypeId, is_absolute};
 pub use payload::{ENCAPSULATION, check_encapsulation};
 pub use qos::{WireDuration, WireQos};
 pub use token::{CPU_BACKEND, Endpoint, EndpointKind, NodeName, Token, token_wildcard};

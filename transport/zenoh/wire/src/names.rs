@@ -79,8 +79,8 @@ pub(super) fn topic(mangled: &str) -> Result<String, Malformed> {
     if is_absolute(&name) { Ok(name) } else { Err(Malformed::TopicName) }
 }
 
-/// Whether this is a name like `/a/b`, of ROS tokens.
-pub(super) fn is_absolute(name: &str) -> bool {
+/// Whether this is a name like `/a/b`, of ROS tokens: parsers refuse topics and namespaces with other names.
+pub fn is_absolute(name: &str) -> bool {
     name.len() <= MAX_NAME_BYTES && name.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_token))
 }
 
