@@ -123,13 +123,7 @@ impl Descriptions {
     /// Requests the topic's type from a node of one of its remote publishers, unless a request is pending or all were requested before.
     pub(crate) fn request(&mut self, session: &Session, key: &TopicKey, graph: &Graph) {
         let id = &key.type_id;
-        if self.pending.get(id).is_some_and(|since| since.elapsed() < TIMEOUT) {
-            return;
-        }
-        if self.pending.remove(id).is_some() {
-            self.count(Refused::Silence);
-        }
-        if self.pending.len() >= MAX_PENDING {
+        if !self.may_request(id) {
             return;
         }
         let wanted: HashSet<String> = graph.publishing_nodes(key).map(service_of).collect();
@@ -149,6 +143,15 @@ impl Descriptions {
             return tracing::warn!("the type of topic '{}' cannot be requested: {error}", key.topic);
         }
         self.pending.insert(id.clone(), Instant::now());
+    }
+
+    /// Whether no request for the type is pending, and there is room for one. Ends all requests that got no reply in time, also those for
+    /// types that are no longer needed.
+    fn may_request(&mut self, id: &TypeId) -> bool {
+        let before = self.pending.len();
+        self.pending.retain(|_, since| since.elapsed() < TIMEOUT);
+        (self.pending.len()..before).for_each(|_| self.count(Refused::Silence));
+        !self.pending.contains_key(id) && self.pending.len() < MAX_PENDING
     }
 
     /// Forgets the requests for a type that is no longer needed, so that a later request may go to any node again.
@@ -442,6 +445,23 @@ mod tests {
                 assert_eq!(schema.hash(), id.hash);
             }
         }
+    }
+
+    /// The topics of the types may have ended in the meantime.
+    #[test]
+    fn requests_without_a_reply_keep_no_place() {
+        let store = tempfile::tempdir().unwrap();
+        let mut descriptions = descriptions(store.path());
+        let of = |n: usize| TypeId { name: format!("demo_msgs/msg/T{n}").parse().unwrap(), ..id(&pose()) };
+        const LATER: Duration = Duration::from_secs(3600);
+        let later = Instant::now() + LATER;
+        descriptions.pending = (0..MAX_PENDING).map(|n| (of(n), later)).collect();
+        assert!(!descriptions.may_request(&of(MAX_PENDING)), "no room");
+        descriptions.pending.values_mut().skip(1).for_each(|since| *since -= LATER + TIMEOUT);
+        assert!(descriptions.may_request(&of(MAX_PENDING)));
+        let pending = descriptions.pending.keys().next().unwrap().clone();
+        assert!(!descriptions.may_request(&pending));
+        assert_eq!(descriptions.counts, BTreeMap::from([("no reply".into(), MAX_PENDING as u64 - 1)]));
     }
 
     #[test]
