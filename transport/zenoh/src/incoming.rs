@@ -82,12 +82,15 @@ impl Incoming {
     ) -> zenoh::Result<Self> {
         let qos = &inward.qos;
         let is_kept = qos.durability == Durability::TransientLocal;
-        let kept = is_kept.then(|| KeptSamples::new(qos.depth, qos.reliability == Reliability::Reliable));
+        let mut kept = is_kept.then(|| KeptSamples::new(qos.depth, qos.reliability == Reliability::Reliable));
         let entrance: Arc<Entrance> = old.as_ref().map(|old| old.entrance.clone()).unwrap_or_default();
         // Zenoh's threads wait for this lock with their samples until the new gate exists.
         let mut inside = entrance.0.lock();
         let mut waiting = Vec::new();
-        if let Some(Way { port, .. }) = old.as_ref().and_then(|old| old.gate.0.lock().take()) {
+        if let Some(Way { kept: former, port }) = old.as_ref().and_then(|old| old.gate.0.lock().take()) {
+            if let (Some(kept), Some(former)) = (&mut kept, former) {
+                kept.take_over(former);
+            }
             let SampleAdmission { ingress: former, mut unclaimed, .. } = port;
             // All publishers of a network are one class, so the tracking of their sequence numbers continues.
             ingress.take_over(former, false);

@@ -163,6 +163,14 @@ impl<S: Placed> KeptSamples<S> {
         KeptSamples { depth, recovers, is_starting: true, publishers: HashMap::new() }
     }
 
+    /// Takes over the new samples that wait in `former`, at the start: nobody else has those of volatile publishers.
+    pub(crate) fn take_over(&mut self, former: Self) {
+        let waiting = former.publishers.into_iter().filter(|(_, state)| !state.waiting.is_empty());
+        for (publisher, state) in waiting {
+            self.publishers.entry(publisher).or_default().waiting = state.waiting;
+        }
+    }
+
     fn most(&self, publisher: Publisher) -> usize {
         if publisher.is_single() { self.depth } else { self.depth.saturating_mul(Self::TOGETHER) }
     }
@@ -481,6 +489,23 @@ mod tests {
         delivered.sort_by_key(|(_, number)| *number);
         assert_eq!(delivered, [(BY_TIME, 1), (BY_TIME, 2), (OTHER, 7), (OTHER, 8)]);
         assert_eq!(answered(&mut kept, ONE, &[3, 4, 5]), (vec![3, 4, 5, 6], 0, None));
+    }
+
+    #[test]
+    fn what_waits_at_a_new_start_is_not_lost() {
+        let mut former = KeptSamples::new(3, true);
+        assert!(former.appeared(ONE).is_some());
+        for (publisher, numbers) in [(ONE, [5, 6]), (OTHER, [7, 8])] {
+            assert!(published(&mut former, publisher, &numbers).is_empty());
+        }
+        let mut kept = KeptSamples::new(4, true);
+        kept.take_over(former);
+        assert!(kept.appeared(ONE).is_some());
+        assert!(published(&mut kept, OTHER, &[9]).is_empty());
+        let mut delivered = Vec::new();
+        kept.started(&mut |sample| delivered.push(sample.unwrap()));
+        assert_eq!(delivered, [(OTHER, 7), (OTHER, 8), (OTHER, 9)]);
+        assert_eq!(answered(&mut kept, ONE, &[4, 5]), (vec![4, 5, 6], 0, None));
     }
 
     #[test]
