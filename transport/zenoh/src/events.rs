@@ -4,8 +4,9 @@
 use crate::origin::ended_tag;
 use crate::stats::GatewayState;
 use crate::wire::{MAX_KEY_BYTES, TypeId};
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
+use std::time::{Duration, Instant};
 use tautline_relay::Event;
 use zenoh::query::Query;
 use zenoh::sample::{Sample, SampleKind};
@@ -15,6 +16,8 @@ pub(crate) enum NetworkEvent {
     TokenDown(String),
     /// A publisher of another host ended normally.
     Ended(u64),
+    /// All tokens are to be requested again: see [`Resyncs`].
+    Resync,
     /// A remote node responded with the description of this type; `None` if the response is too long.
     Described(TypeId, Option<Vec<u8>>),
     /// A remote node requests a type description from a local node.
@@ -38,6 +41,42 @@ pub(crate) fn tokens_to(events: Events, state: Arc<GatewayState>) -> impl Fn(Sam
     }
 }
 
+/// The first and the longest pause before a resync that was not answered in time is repeated.
+const RETRY_PAUSE: Duration = Duration::from_secs(4);
+const LONGEST_PAUSE: Duration = Duration::from_secs(60);
+
+/// When all tokens are requested again.
+#[derive(Default)]
+pub(crate) struct Resyncs {
+    is_queued: bool,
+    /// When a resync is repeated that was not answered whole, and the pause before.
+    retry: Option<(Instant, Duration)>,
+}
+
+impl Resyncs {
+    /// Queues a resync that is due, because events were dropped or the last resync was late: behind the events that came before, which
+    /// would undo what it finds.
+    pub(crate) fn queue_if_due(&mut self, events: &Events, has_missed: &AtomicBool) {
+        // A queued one comes before the events that were dropped since: they need another one.
+        if self.is_queued {
+            return;
+        }
+        let is_due = has_missed.swap(false, Ordering::Relaxed)
+            || self.retry.is_some_and(|(at, _)| Instant::now() >= at);
+        if is_due {
+            self.is_queued = events.try_send(Event::FarChange(NetworkEvent::Resync)).is_ok();
+            has_missed.fetch_or(!self.is_queued, Ordering::Relaxed);
+        }
+    }
+
+    /// Notes that the queued resync was done. One that `is_late` is repeated.
+    pub(crate) fn done(&mut self, is_late: bool) {
+        self.is_queued = false;
+        let pause = self.retry.map_or(RETRY_PAUSE, |(_, pause)| (2 * pause).min(LONGEST_PAUSE));
+        self.retry = is_late.then(|| (Instant::now() + pause, pause));
+    }
+}
+
 /// Passes announcements of publishers' normal ends to the control thread, except those of this session.
 pub(crate) fn ends_to(events: Events, own_zid: u128) -> impl Fn(Sample) + Send + Sync + 'static {
     move |sample| {
@@ -56,4 +95,43 @@ pub(crate) fn cut(key: &str) -> String {
         end += 1;
     }
     key[..end].to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A token comes, and its end finds no room: a resync before the queued event would leave the token in the graph for ever.
+    #[test]
+    fn a_resync_comes_after_the_events_from_before() {
+        let (events, received) = mpsc::sync_channel(2);
+        let (mut resyncs, has_missed) = (Resyncs::default(), AtomicBool::new(true));
+        let text = |event| match event {
+            Event::FarChange(NetworkEvent::TokenUp(key)) => key,
+            Event::FarChange(NetworkEvent::Resync) => "resync".to_owned(),
+            _ => panic!("nothing else was sent"),
+        };
+        let come = |key: &str| events.try_send(Event::FarChange(NetworkEvent::TokenUp(key.into())));
+        let is_missed = || has_missed.load(Ordering::Relaxed);
+        assert!(come("a").is_ok() && come("b").is_ok() && come("c").is_err());
+        resyncs.queue_if_due(&events, &has_missed);
+        assert!(is_missed(), "no room yet");
+        assert_eq!(received.try_recv().map(text).as_deref(), Ok("a"));
+        resyncs.queue_if_due(&events, &has_missed);
+        assert!(!is_missed());
+        // Dropped after the resync was queued.
+        has_missed.store(true, Ordering::Relaxed);
+        resyncs.queue_if_due(&events, &has_missed);
+        assert_eq!(received.try_iter().map(text).collect::<Vec<_>>(), ["b", "resync"]);
+        resyncs.done(false);
+        resyncs.queue_if_due(&events, &has_missed);
+        assert_eq!(received.try_iter().map(text).collect::<Vec<_>>(), ["resync"]);
+        // A late one is repeated, though no event was dropped, when its pause is over.
+        resyncs.done(true);
+        resyncs.retry = resyncs.retry.map(|(at, pause)| (at - pause, pause));
+        resyncs.queue_if_due(&events, &has_missed);
+        assert_eq!(received.try_iter().map(text).collect::<Vec<_>>(), ["resync"]);
+        resyncs.done(true);
+        assert_eq!(resyncs.retry.map(|(_, pause)| pause), Some(2 * RETRY_PAUSE));
+    }
 }

@@ -176,6 +176,7 @@ impl Gateway {
                 descriptions,
                 claims,
                 state.clone(),
+                gateway.events.clone(),
             );
             let (participant, service_rules) = (participant.clone(), rules.clone());
             let parts = Parts { participant, far, relay: outgoing, services, transit, rules, service_rules };

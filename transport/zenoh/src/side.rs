@@ -2,7 +2,7 @@
 //! The network as the far side of a mirror.
 
 use crate::descriptions::Descriptions;
-use crate::events::{NetworkEvent, cut};
+use crate::events::{Events, NetworkEvent, Resyncs, cut};
 use crate::graph::Graph;
 use crate::incoming::{self, Incoming};
 use crate::locals::{self, wire_key, wire_node, wire_qos};
@@ -31,9 +31,6 @@ use zenoh::{Session, Wait};
 
 /// Time-out of a request for all tokens.
 const RESYNC_TIMEOUT: Duration = Duration::from_secs(2);
-/// The first and the longest pause before a resync that was not answered in time is repeated.
-const RETRY_PAUSE: Duration = Duration::from_secs(4);
-const LONGEST_PAUSE: Duration = Duration::from_secs(60);
 
 /// How long, and for how many publishers, a normal end is announced.
 const ENDED_TIME: Duration = Duration::from_secs(10);
@@ -51,8 +48,8 @@ pub(crate) struct NetworkSide {
     declared: HashMap<String, LivelinessToken>,
     /// Announcements of publishers' ends, kept until other hosts have received them.
     ended: VecDeque<(Instant, LivelinessToken)>,
-    /// When a resync is repeated that was not answered whole, and the pause before.
-    retry: Option<(Instant, Duration)>,
+    resyncs: Resyncs,
+    events: Events,
     options: Options,
     participant: Participant,
     session: Session,
@@ -78,20 +75,22 @@ impl NetworkSide {
         descriptions: Descriptions,
         claims: ClaimThread,
         state: Arc<GatewayState>,
+        events: Events,
     ) -> (Self, Transit) {
         let domain = options.domain_there();
         let zid = u128::from_le_bytes(session.zid().to_le_bytes());
         let host = tautline_rt::host::name();
         let transit = Transit::to_network(participant.domain_id(), participant.id(), zid, &host);
         let transit = transit.going_on(options.transit);
-        let (incoming, lingering, declared, ended, retry, changes, undescribed) = Default::default();
+        let (incoming, lingering, declared, ended, resyncs, changes, undescribed) = Default::default();
         let side = NetworkSide {
             incoming,
             lingering,
             claims,
             declared,
             ended,
-            retry,
+            resyncs,
+            events,
             graph: Graph::new(domain, zid, options.limits),
             is_unseen: true,
             tokens: Tokens::new(domain, zid),
@@ -182,6 +181,7 @@ impl NetworkSide {
         };
         let get = self.session.liveliness().get(wildcard).timeout(RESYNC_TIMEOUT).callback(answer);
         if let Err(error) = get.wait() {
+            self.resyncs.done(true);
             return tracing::warn!("the tokens of other hosts cannot be requested: {error}");
         }
         // Ends when Zenoh drops the sender, at the latest after the time-out.
@@ -190,8 +190,7 @@ impl NetworkSide {
         // removed from the graph.
         let is_late = is_late.load(Ordering::Relaxed);
         let is_complete = !is_late && room.load(Ordering::Relaxed) > 0;
-        let pause = self.retry.map_or(RETRY_PAUSE, |(_, pause)| (2 * pause).min(LONGEST_PAUSE));
-        self.retry = is_late.then(|| (Instant::now() + pause, pause));
+        self.resyncs.done(is_late);
         let gone = self.graph.keys().filter(|key| is_complete && !there.contains(*key));
         for key in gone.map(String::from).collect::<Vec<_>>() {
             self.graph.remove(&key);
@@ -218,7 +217,7 @@ impl FarSide for NetworkSide {
             NetworkEvent::TokenDown(key) => {
                 let was_there = self.graph.remove(&key);
                 if self.graph.wants_resync() {
-                    // At the next tick, because a resync takes a while.
+                    // Not at once, because a resync takes a while.
                     self.state.has_missed.store(true, Ordering::Relaxed);
                 }
                 was_there
@@ -226,6 +225,10 @@ impl FarSide for NetworkSide {
             NetworkEvent::Ended(tag) => {
                 self.graph.note_ended(tag);
                 false
+            }
+            NetworkEvent::Resync => {
+                self.resync();
+                true
             }
             NetworkEvent::Described(id, payload) => {
                 self.descriptions.learn(&id, payload.as_deref());
@@ -301,16 +304,12 @@ impl FarSide for NetworkSide {
     }
 
     fn tick(&mut self, _: &mut Writers<Writer>) -> bool {
-        let has_missed = self.state.has_missed.swap(false, Ordering::Relaxed);
-        let is_due = has_missed || self.retry.is_some_and(|(at, _)| Instant::now() >= at);
-        if is_due {
-            self.resync();
-        }
+        self.resyncs.queue_if_due(&self.events, &self.state.has_missed);
         self.ended.retain(|(since, _)| since.elapsed() < ENDED_TIME);
         self.lingering.retain(|(since, ..)| since.elapsed() < LINGER_TIME);
         self.request_types();
         self.retry_kept();
-        is_due
+        false
     }
 
     fn find_type(&mut self, key: &tautline_relay::TopicKey, _: Option<&str>) -> Result<FoundType, String> {
