@@ -8,8 +8,13 @@ use std::fs::OpenOptions;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use support::wait;
+use std::time::{Duration, SystemTime};
+use support::{UNKNOWN_HASH, string_type, until, wait};
 use tautline_gateway::Instance;
+use tautline_gateway::wire::{Attachment, Token, endpoint_gid};
+use tautline_transport::{Limits, Participant, Qos};
+use zenoh::Wait;
+use zenoh::time::{NTP64, Timestamp};
 
 /// Whoever runs the tests may have set them.
 const VARIABLES: [&str; 4] =
@@ -75,4 +80,39 @@ fn what_cannot_run_ends_with_2() {
         let words = String::from_utf8(output.stderr).unwrap();
         assert!(output.status.code() == Some(2) && words.contains(said), "{args:?}: {words}");
     }
+}
+
+/// Zenoh compares each sample's own time stamp with its clock.
+#[test]
+fn samples_of_a_host_whose_clock_is_ahead_fill_no_log() {
+    const DOMAIN: u32 = 139;
+    let mut command = gateway(DOMAIN, &["--connect", "tcp/127.0.0.1:1", "--listen", "tcp/127.0.0.1:0"]);
+    let mut running = Running(command.spawn().unwrap());
+    let mut lines = BufReader::new(running.0.stderr.take().unwrap()).lines().map_while(Result::ok);
+    let address = |line: String| Some(line.strip_prefix("listening on ")?.split_once(": ")?.0.to_owned());
+    let locator = lines.find_map(address).unwrap();
+    let text = format!(
+        r#"{{ mode: "client", connect: {{ endpoints: ["{locator}"] }}, scouting: {{ multicast: {{ enabled: false }} }} }}"#
+    );
+    let far = zenoh::open(zenoh::Config::from_json5(&text).unwrap()).wait().unwrap();
+    let participant = Participant::new(DOMAIN).unwrap();
+    let (qos, limits) = (Qos::keep_last(10), Limits::default());
+    let subscription = participant.create_raw_subscription("/x", &string_type(), qos, limits).unwrap();
+    let name = format!("std_msgs::msg::dds_::String_/{UNKNOWN_HASH}");
+    let token = format!("@ros2_lv/{DOMAIN}/bad/0/1/MP/%/%/n/%x/{name}/::,10:,:,:,,");
+    let gid = endpoint_gid(&Token::parse(&token).unwrap());
+    let _token = far.liveliness().declare_token(token).wait().unwrap();
+    let ahead = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap() + Duration::from_secs(3600);
+    let stamp = Timestamp::new(NTP64::from(ahead), *far.new_timestamp().get_id());
+    let source_timestamp_ns = i64::try_from(ahead.as_nanos()).unwrap();
+    let attachment = Attachment { sequence_number: 1, source_timestamp_ns, gid }.encode();
+    until("a sample", || {
+        let put = far.put(format!("{DOMAIN}/x/{name}"), [0, 1, 0, 0, 7]).timestamp(stamp);
+        put.attachment(&attachment[..]).wait().unwrap();
+        subscription.try_take_valid().unwrap().is_some()
+    });
+    kill_process(Pid::from_child(&running.0), Signal::TERM).unwrap();
+    let logged: Vec<String> = lines.filter(|line| line.contains("timestamp")).collect();
+    assert!(logged.is_empty(), "{logged:?}");
+    assert_eq!(wait("its end", || running.0.try_wait().unwrap()).code(), Some(0));
 }
