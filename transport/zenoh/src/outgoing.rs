@@ -302,10 +302,12 @@ fn declare(
         return Ok(AnyPublisher::Plain(publisher.wait()?));
     }
     let depth = usize::try_from(qos.depth).unwrap_or(usize::MAX).max(1);
-    let mut keeping = publisher.cache(CacheConfig::default().max_samples(depth)).publisher_detection();
-    if is_reliable {
-        keeping = keeping.sample_miss_detection(MissDetectionConfig::default().sporadic_heartbeat(HEARTBEAT));
-    }
+    let keeping = publisher.cache(CacheConfig::default().max_samples(depth)).publisher_detection();
+    // Best-effort samples are numbered, too: a receiver whose clock is behind replaces time stamps, so that it would take new samples
+    // for another publisher's, and deliver kept ones after them.
+    let numbered = MissDetectionConfig::default();
+    let numbered = if is_reliable { numbered.sporadic_heartbeat(HEARTBEAT) } else { numbered };
+    let keeping = keeping.sample_miss_detection(numbered);
     Ok(AnyPublisher::Keeping(keeping.wait()?))
 }
 

@@ -5,7 +5,7 @@ mod support;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use support::{Host, UNKNOWN_HASH, string_type, take, until};
+use support::{Host, UNKNOWN_HASH, string_type, take, until, wait};
 use tautline_gateway::wire::{Attachment, ENCAPSULATION, Token, endpoint_gid};
 use tautline_transport::Qos;
 use zenoh::Wait;
@@ -117,4 +117,22 @@ fn a_volatile_publisher_loses_nothing_while_its_topics_way_starts_anew() {
     heard.retain(|number| *number != PROBE);
     heard.sort_unstable();
     assert!(heard.iter().copied().eq(0..count), "{} of {count}", heard.len());
+}
+
+/// By the time stamps a receiver whose clock is behind cannot tell kept samples from new ones: Zenoh replaces those of new ones there.
+#[test]
+fn samples_that_are_kept_are_numbered() {
+    let host = Host::first(153, 153);
+    let far = host.session();
+    let kept = Qos::keep_last(3).transient_local();
+    for (topic, qos) in [("reliable", kept), ("best_effort", kept.best_effort())] {
+        let key = format!("153/{topic}/std_msgs::msg::dds_::String_/{UNKNOWN_HASH}");
+        let samples = far.declare_subscriber(key).wait().unwrap();
+        let publisher = host.publisher(&format!("/{topic}"), &string_type(), qos);
+        let sample = wait("a sample", || {
+            publisher.publish(b"kept").unwrap();
+            samples.recv_timeout(Duration::from_millis(5)).unwrap()
+        });
+        assert!(sample.source_info().is_some(), "{topic}");
+    }
 }
