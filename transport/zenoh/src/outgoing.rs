@@ -10,7 +10,7 @@
 use crate::rules::{BULK_BYTES, Rule, Urgency, urgency_of};
 use crate::wire::{Attachment, ENCAPSULATION, Token, TopicKey, WireQos, endpoint_gid};
 use std::any::Any;
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock, mpsc};
 use std::time::{Duration, Instant};
@@ -75,12 +75,34 @@ pub(crate) struct Writer {
     key: TopicKey,
     /// Tokens of the publisher and its node, which have ended, until its last samples are sent.
     tokens: RefCell<Vec<(Token, Arc<LivelinessToken>)>>,
-    /// A publisher, declared when the writer's samples are first needed, and when: while it exists, Zenoh knows the key's subscribers.
-    scout: OnceLock<(Option<Publisher<'static>>, Instant)>,
+    /// A publisher, declared when the writer's samples are first needed: while it exists, Zenoh knows the key's subscribers.
+    scout: OnceLock<(Option<Publisher<'static>>, Cell<Search>)>,
 }
 
 /// Time-out for Zenoh to find subscribers; a token may announce one that never subscribes.
 const FIND_TIME: Duration = Duration::from_secs(1);
+
+/// A search for subscribers.
+#[derive(Clone, Copy)]
+struct Search {
+    since: Instant,
+    has_found: bool,
+}
+
+impl Search {
+    fn at(since: Instant) -> Self {
+        Search { since, has_found: false }
+    }
+
+    /// Whether it is over. If those that it found have ended, as after the loss of a link, it starts anew.
+    fn is_over(&mut self, are_there: bool, now: Instant) -> bool {
+        if self.has_found && !are_there {
+            *self = Search::at(now);
+        }
+        self.has_found = are_there;
+        are_there || now.saturating_duration_since(self.since) >= FIND_TIME
+    }
+}
 
 impl Writer {
     pub(crate) fn new(identity: Identity, session: &Session, key: TopicKey) -> Self {
@@ -98,11 +120,11 @@ impl Writer {
         tokens.extend((is_publishers || is_nodes).then(|| (token.clone(), declared.clone())));
     }
 
-    fn scout(&self) -> (Option<Publisher<'static>>, Instant) {
+    fn scout(&self) -> (Option<Publisher<'static>>, Cell<Search>) {
         let scout = self.session.declare_publisher(self.key.to_string());
         let scout = scout.allowed_destination(Locality::Remote).wait();
         // The sender logs this failure.
-        (scout.ok(), Instant::now())
+        (scout.ok(), Cell::new(Search::at(Instant::now())))
     }
 }
 
@@ -113,10 +135,13 @@ impl FarWriter for Writer {
         if is_keeping(&self.identity) {
             return true;
         }
-        let (scout, since) = self.scout.get_or_init(|| self.scout());
+        let (scout, search) = self.scout.get_or_init(|| self.scout());
         let is_found =
             |scout: &Publisher<'_>| !scout.matching_status().wait().is_ok_and(|found| !found.matching());
-        since.elapsed() >= FIND_TIME || scout.as_ref().is_none_or(is_found)
+        let mut now = search.get();
+        let is_over = now.is_over(scout.as_ref().is_none_or(is_found), Instant::now());
+        search.set(now);
+        is_over
     }
 
     /// False while samples may still be taken or wait for the link.
@@ -408,5 +433,24 @@ impl ZSliceBuffer for Serialized {
 
     fn as_any_mut(&mut self) -> &mut dyn Any {
         self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Those of another host end with the link, and its token may be back before they are.
+    #[test]
+    fn subscribers_that_have_ended_are_searched_again() {
+        let start = Instant::now();
+        let mut search = Search::at(start);
+        assert!(!search.is_over(false, start) && search.is_over(true, start));
+        let later = start + 100 * FIND_TIME;
+        assert!(search.is_over(true, later) && !search.is_over(false, later));
+        assert!(!search.is_over(false, later + FIND_TIME / 2));
+        assert!(search.is_over(false, later + FIND_TIME), "none subscribes");
+        // What was never found is not searched for ever.
+        assert!(search.is_over(false, later + FIND_TIME));
     }
 }
