@@ -5,10 +5,10 @@
 //! This runs in Zenoh's thread and never waits: a slow subscription loses its oldest samples, and memory is claimed by [another
 //! thread](crate::unclaimed).
 
-use crate::kept::{KeptSamples, Placed, Publisher, Request, SessionId, Target};
+use crate::kept::{KeptSamples, Placed, Publisher, Request, Response, SessionId, Target};
 use crate::unclaimed::{ClaimQueue, Claimant, Claimed, Next, Unclaimed};
 use crate::wire::{Attachment, ENCAPSULATION, Malformed, TopicKey, check_encapsulation};
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 use tautline_relay::{Body, Delivery, Ingress, IngressUpdate, Inward, MessageMeta, Refused};
@@ -44,6 +44,8 @@ pub(crate) enum Dropped {
     Time,
     #[error("too many messages wait for shared memory")]
     Unclaimed,
+    #[error("a publisher keeps more bytes than wait for shared memory at most")]
+    Kept,
 }
 
 /// How often kept samples are requested again from publishers that have sent none; the first time after a second, then at growing
@@ -285,12 +287,12 @@ impl Drop for Start {
 struct Answer {
     requests: Requests,
     request: Request,
-    kept: PiMutex<VecDeque<Sample>>,
+    response: PiMutex<Response<Sample>>,
 }
 
 impl Answer {
     fn to(request: Request, requests: &Requests) -> Self {
-        Answer { requests: requests.clone(), request, kept: PiMutex::default() }
+        Answer { requests: requests.clone(), request, response: PiMutex::default() }
     }
 
     fn request(self) {
@@ -308,11 +310,8 @@ impl Answer {
         let Ok(sample) = reply.into_result() else { return };
         let is_wanted = sample.key_expr().as_str() == self.requests.key
             && sample.place().is_some_and(|(publisher, _)| self.request.target.includes(publisher));
-        let mut kept = self.kept.lock();
-        kept.extend(is_wanted.then_some(sample));
-        // A publisher may send more samples than requested: the last ones count.
-        if kept.len() > self.request.most {
-            kept.pop_front();
+        if is_wanted {
+            self.response.lock().push(sample, &self.request);
         }
     }
 }
@@ -320,8 +319,11 @@ impl Answer {
 impl Drop for Answer {
     fn drop(&mut self) {
         let Some(gate) = self.requests.gate.upgrade() else { return };
-        let kept = Vec::from(std::mem::take(&mut *self.kept.lock()));
-        let lost = gate.with(|way| way.answered(self.request.target, kept));
+        let Response { samples, dropped, .. } = std::mem::take(&mut *self.response.lock());
+        let lost = gate.with(|way| {
+            (0..dropped).for_each(|_| way.port.ingress.counters().dropped(Dropped::Kept));
+            way.answered(self.request.target, samples.into())
+        });
         self.requests.send_from_drop(Vec::from_iter(lost));
     }
 }

@@ -5,7 +5,8 @@
 //! zenoh-ext's `AdvancedSubscriber` is not used: it delivers a new sample that arrives during a request at once, and then drops
 //! older kept samples without counting them (1.10.2).
 
-use std::collections::{BTreeMap, HashMap};
+use crate::unclaimed::{self, MOST_BYTES};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::fmt;
 use std::str::FromStr;
 use zenoh::sample::Sample;
@@ -70,6 +71,8 @@ impl fmt::Display for Target {
 pub(crate) trait Placed {
     /// The publisher, and a number that grows with each of its samples; modulo 2^32 if the publisher has a number. `None`: unknown.
     fn place(&self) -> Option<(Publisher, u64)>;
+    /// Its memory while it waits, in bytes.
+    fn len_bytes(&self) -> usize;
 }
 
 impl Placed for Sample {
@@ -84,6 +87,10 @@ impl Placed for Sample {
             }
             (None, None) => None,
         }
+    }
+
+    fn len_bytes(&self) -> usize {
+        unclaimed::bytes(self)
     }
 }
 
@@ -123,6 +130,34 @@ impl What {
     }
 }
 
+/// The response to a request while it arrives: of what a publisher sends, the last samples that there is room for.
+pub(crate) struct Response<S> {
+    pub(crate) samples: VecDeque<S>,
+    bytes: usize,
+    /// The number of requested samples that are dropped, because later ones need their memory.
+    pub(crate) dropped: u64,
+}
+
+impl<S> Default for Response<S> {
+    fn default() -> Self {
+        let (samples, bytes, dropped) = Default::default();
+        Response { samples, bytes, dropped }
+    }
+}
+
+impl<S: Placed> Response<S> {
+    pub(crate) fn push(&mut self, sample: S, request: &Request) {
+        self.bytes += sample.len_bytes();
+        self.samples.push_back(sample);
+        // A publisher may send more samples than requested.
+        let is_more = self.samples.len() > request.most;
+        while self.samples.len() > request.most || (self.bytes > MOST_BYTES && self.samples.len() > 1) {
+            self.bytes -= self.samples.pop_front().as_ref().map_or(0, S::len_bytes);
+            self.dropped += u64::from(!is_more);
+        }
+    }
+}
+
 /// The state of a topic's publishers.
 pub(crate) struct KeptSamples<S> {
     /// Number of kept samples that are requested from each publisher.
@@ -139,8 +174,10 @@ struct PublisherState<S> {
     requests: usize,
     /// Whether new samples wait for a response.
     is_waiting: bool,
-    /// New samples that wait; at most as many as a response has, because more of them replace all kept samples.
+    /// New samples that wait; at most as many as a response has, because more of them replace all kept samples, and at most
+    /// `MOST_BYTES`.
     waiting: Vec<S>,
+    waiting_bytes: usize,
     /// The numbers of the first and of the last delivered sample.
     delivered: Option<(u64, u64)>,
     /// Whether samples before the first delivered one are not counted as lost: after a response, or when new samples replaced it.
@@ -166,9 +203,9 @@ impl<S: Placed> KeptSamples<S> {
     /// Takes over the new samples that wait in `former`, at the start: nobody else has those of volatile publishers.
     pub(crate) fn take_over(&mut self, former: Self) {
         let waiting = former.publishers.into_iter().filter(|(_, state)| !state.waiting.is_empty());
-        for (publisher, state) in waiting {
-            self.publishers.entry(publisher).or_default().waiting = state.waiting;
-        }
+        self.publishers.extend(waiting.map(|(publisher, PublisherState { waiting, waiting_bytes, .. })| {
+            (publisher, PublisherState { waiting, waiting_bytes, ..PublisherState::default() })
+        }));
     }
 
     fn most(&self, publisher: Publisher) -> usize {
@@ -272,18 +309,19 @@ impl<S: Placed> KeptSamples<S> {
                     return None;
                 }
                 Some(from) => {
-                    state.waiting.push(sample);
+                    state.wait(sample);
                     state.asked = Some(from);
                     return self.request(publisher, What::From(from));
                 }
             }
         }
         if ahead > 0 || !publisher.is_single() {
-            state.waiting.push(sample);
+            state.wait(sample);
         }
-        if state.waiting.len() >= most {
+        let is_replaced = state.waiting.len() >= most;
+        if is_replaced || state.waiting_bytes > MOST_BYTES {
             state.advance(publisher, false, deliver);
-            state.is_whole = true;
+            state.is_whole |= is_replaced;
         }
         None
     }
@@ -351,12 +389,27 @@ fn sort<S: Placed>(publisher: Publisher, samples: &mut [S]) {
 
 impl<S> Default for PublisherState<S> {
     fn default() -> Self {
-        let (requests, is_waiting, waiting, delivered, is_whole, is_answered, asked) = Default::default();
-        PublisherState { requests, is_waiting, waiting, delivered, is_whole, is_answered, asked }
+        let (requests, is_waiting, waiting, waiting_bytes) = Default::default();
+        let (delivered, is_whole, is_answered, asked) = Default::default();
+        PublisherState {
+            requests,
+            is_waiting,
+            waiting,
+            waiting_bytes,
+            delivered,
+            is_whole,
+            is_answered,
+            asked,
+        }
     }
 }
 
 impl<S: Placed> PublisherState<S> {
+    fn wait(&mut self, sample: S) {
+        self.waiting_bytes += sample.len_bytes();
+        self.waiting.push(sample);
+    }
+
     /// Delivers a sample, unless this or a newer sample was delivered before.
     fn deliver(&mut self, publisher: Publisher, number: u64, sample: S, deliver: &mut impl FnMut(S)) {
         match &mut self.delivered {
@@ -386,6 +439,7 @@ impl<S: Placed> PublisherState<S> {
     /// Delivers waiting samples; with `recovers`, up to the first gap that was not requested before, and returns the gap's first number.
     fn advance(&mut self, publisher: Publisher, recovers: bool, deliver: &mut impl FnMut(S)) -> Option<u32> {
         let mut waiting = std::mem::take(&mut self.waiting);
+        self.waiting_bytes = 0;
         sort(publisher, &mut waiting);
         let mut waiting = waiting.into_iter();
         while let Some(sample) = waiting.next() {
@@ -394,7 +448,7 @@ impl<S: Placed> PublisherState<S> {
             let from = gap.map(|(_, last)| next(last)).filter(|from| recovers && self.asked != Some(*from));
             if from.is_some() {
                 self.asked = from;
-                self.waiting = std::iter::once(sample).chain(waiting).collect();
+                std::iter::once(sample).chain(waiting).for_each(|sample| self.wait(sample));
                 return from;
             }
             self.deliver(publisher, number, sample, deliver);
@@ -418,7 +472,15 @@ mod tests {
         fn place(&self) -> Option<(Publisher, u64)> {
             *self
         }
+
+        /// Large, from this number on.
+        fn len_bytes(&self) -> usize {
+            let is_large = self.is_some_and(|(_, number)| (LARGE..2 * LARGE).contains(&number));
+            if is_large { MOST_BYTES / 2 } else { 0 }
+        }
     }
+
+    const LARGE: u64 = 1_000_000;
 
     /// When all publishers are known.
     fn kept(depth: usize) -> KeptSamples<Test> {
@@ -506,6 +568,27 @@ mod tests {
         kept.started(&mut |sample| delivered.push(sample.unwrap()));
         assert_eq!(delivered, [(OTHER, 7), (OTHER, 8), (OTHER, 9)]);
         assert_eq!(answered(&mut kept, ONE, &[4, 5]), (vec![4, 5, 6], 0, None));
+    }
+
+    #[test]
+    fn what_waits_takes_a_bounded_number_of_bytes() {
+        let mut kept = kept(100);
+        let request = kept.appeared(ONE).unwrap();
+        assert!(published(&mut kept, ONE, &[LARGE, LARGE + 1]).is_empty());
+        let all = [LARGE, LARGE + 1, LARGE + 2];
+        assert_eq!(published(&mut kept, ONE, &all[2..]), all);
+
+        let mut response = Response::default();
+        for number in [1, 2, LARGE, LARGE + 1] {
+            response.push(Some((ONE, number)), &request);
+        }
+        assert_eq!((response.samples.len(), response.dropped), (4, 0));
+        response.push(Some((ONE, LARGE + 2)), &request);
+        let left: Vec<u64> = response.samples.iter().map(|sample| sample.unwrap().1).collect();
+        assert_eq!((left, response.dropped), (vec![LARGE + 1, LARGE + 2], 3));
+        let few = Request { most: 1, ..request };
+        response.push(Some((ONE, 5)), &few);
+        assert_eq!((response.samples.len(), response.dropped), (1, 3), "not requested");
     }
 
     #[test]

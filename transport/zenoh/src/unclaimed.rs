@@ -11,7 +11,7 @@ use tautline_transport::{LoanError, MemoryClaimer};
 use zenoh::sample::Sample;
 
 /// Maximum of waiting bytes of all topics together; a single message may exceed it if no other one waits.
-const MOST_BYTES: usize = 256 << 20;
+pub(crate) const MOST_BYTES: usize = 256 << 20;
 /// Memory of a waiting message besides its body.
 const OVERHEAD_BYTES: usize = 1024;
 
@@ -134,6 +134,7 @@ impl Drop for Unclaimed {
     }
 }
 
-fn bytes(sample: &Sample) -> usize {
+/// The memory of a waiting sample.
+pub(crate) fn bytes(sample: &Sample) -> usize {
     sample.payload().len() + OVERHEAD_BYTES
 }
