@@ -37,19 +37,29 @@ pub(crate) struct Graph {
     limits: GraphLimits,
     /// Tokens with their entities, by key expression, which also identifies a token when it disappears.
     tokens: HashMap<String, (Token, RemoteEntity)>,
-    per_session: HashMap<u128, usize>,
+    per_session: HashMap<u128, OfSession>,
     /// Tags of publishers that ended normally, and when that was announced.
     ended: VecDeque<(Instant, u64)>,
     /// Refused tokens, by reason.
     pub(crate) refused: BTreeMap<String, u64>,
-    /// Whether a token was refused for lack of room.
+    /// Whether a token was refused for lack of room for any.
+    is_incomplete: bool,
+    /// Whether a session of which a token was refused has room now.
+    has_room: bool,
+}
+
+/// The tokens of a session.
+#[derive(Default)]
+struct OfSession {
+    tokens: usize,
+    /// Whether others were refused for lack of room for this session's.
     is_incomplete: bool,
 }
 
 impl Graph {
     pub(crate) fn new(domain: u32, own_zid: u128, limits: GraphLimits) -> Self {
-        let (tokens, per_session, ended, refused) = Default::default();
-        Graph { domain, own_zid, limits, tokens, per_session, ended, refused, is_incomplete: false }
+        let (tokens, per_session, ended, refused, is_incomplete, has_room) = Default::default();
+        Graph { domain, own_zid, limits, tokens, per_session, ended, refused, is_incomplete, has_room }
     }
 
     /// Adds a token that appeared. Returns whether the graph changed.
@@ -64,13 +74,17 @@ impl Graph {
         if token.zid == self.own_zid || token.domain != self.domain || self.tokens.contains_key(key) {
             return false;
         }
-        let of_session = self.per_session.get(&token.zid).copied().unwrap_or(0);
-        if self.tokens.len() >= self.limits.tokens || of_session >= self.limits.tokens_per_session {
+        let of_session = self.per_session.get_mut(&token.zid);
+        let is_full = of_session.as_ref().map_or(0, |of| of.tokens) >= self.limits.tokens_per_session;
+        if is_full || self.tokens.len() >= self.limits.tokens {
             *self.refused.entry("over the limit".into()).or_default() += 1;
-            self.is_incomplete = true;
+            match of_session.filter(|_| is_full) {
+                Some(of_session) => of_session.is_incomplete = true,
+                None => self.is_incomplete = true,
+            }
             return false;
         }
-        *self.per_session.entry(token.zid).or_default() += 1;
+        self.per_session.entry(token.zid).or_default().tokens += 1;
         let entity = entity(&token);
         self.tokens.insert(key.into(), (token, entity));
         true
@@ -79,9 +93,10 @@ impl Graph {
     /// Removes a token that disappeared. Returns whether the graph changed.
     pub(crate) fn remove(&mut self, key: &str) -> bool {
         let Some((token, _)) = self.tokens.remove(key) else { return false };
-        if let Some(count) = self.per_session.get_mut(&token.zid) {
-            *count -= 1;
-            if *count == 0 {
+        if let Some(of_session) = self.per_session.get_mut(&token.zid) {
+            of_session.tokens -= 1;
+            self.has_room |= std::mem::take(&mut of_session.is_incomplete);
+            if of_session.tokens == 0 {
                 self.per_session.remove(&token.zid);
             }
         }
@@ -135,7 +150,7 @@ impl Graph {
     pub(crate) fn wants_resync(&mut self) -> bool {
         let wants = self.is_incomplete && self.tokens.len() < self.limits.tokens / 4 * 3;
         self.is_incomplete &= !wants;
-        wants
+        std::mem::take(&mut self.has_room) || wants
     }
 
     pub(crate) fn publishing_nodes(&self, key: &TopicKey) -> impl Iterator<Item = &NodeName> {
@@ -257,6 +272,20 @@ mod tests {
         for n in 0..60 {
             graph.remove(&token(1, n, "MP", &format!("t{n}")));
         }
+        assert!(graph.wants_resync() && !graph.wants_resync());
+    }
+
+    /// It goes on announcing them, so a resync would find no room for them either.
+    #[test]
+    fn a_session_over_its_limit_causes_no_resync_before_it_has_room() {
+        let mut graph = graph(GraphLimits { tokens: 100, tokens_per_session: 8 });
+        for n in 0..9 {
+            graph.insert(&token(1, n, "MP", "x"));
+            graph.insert(&token(2, n, "MS", "x"));
+        }
+        graph.insert(&token(3, 0, "MP", "x"));
+        assert!(graph.remove(&token(3, 0, "MP", "x")) && !graph.wants_resync(), "another session's");
+        assert!(graph.remove(&token(1, 0, "MP", "x")));
         assert!(graph.wants_resync() && !graph.wants_resync());
     }
 }
