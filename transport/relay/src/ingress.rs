@@ -193,6 +193,11 @@ impl Ingress {
         self.settle();
     }
 
+    /// Sets the definition, which was not known: messages are validated by it from now on.
+    pub fn describe(&mut self, schema: Arc<Schema>) {
+        self.schema = Some(schema);
+    }
+
     /// Of known publishers, forwards only the last messages of those that have ended, i.e. are not `present`. Returns whether there are
     /// such publishers. One that comes now may send before it is announced: it stays unknown until then.
     pub fn close(&mut self, present: &BTreeSet<Gid>) -> bool {

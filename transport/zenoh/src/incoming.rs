@@ -13,6 +13,7 @@ use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 use tautline_relay::{Body, Delivery, Ingress, IngressUpdate, Inward, MessageMeta, Refused};
 use tautline_rt::PiMutex;
+use tautline_schema::Schema;
 use tautline_transport::{Durability, Gid, LoanError, Reliability};
 use zenoh::bytes::ZBytes;
 use zenoh::pubsub::Subscriber;
@@ -152,6 +153,11 @@ impl Incoming {
 
     pub(crate) fn change(&self, change: IngressUpdate) {
         self.gate.with(|way| way.port.ingress.change(change));
+    }
+
+    /// Validates messages by this definition from now on.
+    pub(crate) fn describe(&self, schema: &Arc<Schema>) {
+        self.gate.with(|way| way.port.ingress.describe(schema.clone()));
     }
 }
 

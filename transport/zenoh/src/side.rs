@@ -137,10 +137,15 @@ impl NetworkSide {
         }
     }
 
-    /// Requests unknown types of incoming topics from nodes that were not asked yet.
+    /// Requests unknown types of incoming topics from nodes that were not asked yet. Messages of those that are known by now are checked.
     fn request_types(&mut self) {
-        let types = &mut self.types;
-        self.undescribed.retain(|key| types.schema(&key.type_id).is_none());
+        let (types, incoming, domain) = (&mut self.types, &self.incoming, self.options.domain_there());
+        self.undescribed.retain(|key| {
+            let Some(schema) = types.schema(&key.type_id) else { return true };
+            let of_topic = incoming.iter().filter(|(of, _)| wire_key(domain, &of.topic).as_ref() == Ok(key));
+            of_topic.for_each(|(_, incoming)| incoming.describe(&schema));
+            false
+        });
         for key in &self.undescribed {
             self.descriptions.request(&self.session, key, &self.graph);
         }

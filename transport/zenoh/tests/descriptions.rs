@@ -6,8 +6,9 @@ mod support;
 
 use std::sync::Arc;
 use std::time::Duration;
-use support::{Host, until, wait};
-use tautline_gateway::wire::{Attachment, Token};
+use support::{Host, stats, until, wait};
+use tautline_gateway::Direction;
+use tautline_gateway::wire::{Attachment, Token, endpoint_gid};
 use tautline_schema::{DynamicMessage, Packages, Schema, TypeDescription};
 use tautline_transport::{Gid, Qos, SchemaStore, TopicType};
 use zenoh::{Session, Wait};
@@ -105,6 +106,17 @@ fn a_type_that_only_another_knows_is_learned() {
     let learned = Schema::from_text(&"a_msgs/msg/Whole".parse().unwrap(), &kept.text).unwrap();
     assert_eq!(learned.hash().to_string(), hash);
     until("the count", || host.stats().type_descriptions.get("learned") == Some(&1));
+    // From then on, what is no message of this type is dropped: this one claims 2^31 - 1 parts.
+    let publisher = token(115, 2, "MP", "/theirs", "a_msgs::msg::dds_::Whole_", &hash);
+    let gid = endpoint_gid(&Token::parse(&publisher).unwrap());
+    let attachment = Attachment { sequence_number: 1, source_timestamp_ns: 1, gid }.encode();
+    until("a check of the content", || {
+        let body = [0, 1, 0, 0, 0xFF, 0xFF, 0xFF, 0x7F];
+        let put = session.put(format!("115/theirs/a_msgs::msg::dds_::Whole_/{hash}"), body);
+        put.attachment(&attachment[..]).wait().unwrap();
+        let inward = stats(&host, "/theirs", Direction::In);
+        inward.is_some_and(|inward| inward.reading.dropped.contains_key("not a message of its type"))
+    });
 
     // Of this one it tells another.
     let other = new_schema().hash().to_string();
