@@ -328,6 +328,41 @@ fn who_tells_others_hears_what_has_ended() {
     assert_eq!([7, 8].map(said), [1, 0]);
 }
 
+/// More than a record has room for: what there is room for is announced, and a second attempt is no change, after which a relay would make
+/// a third one.
+#[test]
+fn too_much_from_elsewhere_is_refused_without_a_change() {
+    let domain = domain(100);
+    clean(domain);
+    let gateway = Participant::new(domain).unwrap();
+    let end = |n: u64| {
+        let mut gid = Gid::default();
+        gid.0[..8].copy_from_slice(&(n + 1).to_le_bytes());
+        TopicEndpoint {
+            kind: EndpointKind::Publisher,
+            topic: format!("/{n:0254}"),
+            topic_type: TopicType::new("x".repeat(255)),
+            gid,
+            qos: Qos::default(),
+            node: Some(name("/theirs", "talker")),
+            pid: None,
+            is_remote: true,
+            is_own: false,
+            origin: Origin { tag: n + 1, path: vec![u64::MAX; Origin::MOST_HOPS], ..Origin::default() },
+            teller: None,
+        }
+    };
+    let told = RemoteGraph { endpoints: (0..50_000).map(end).collect(), ..RemoteGraph::default() };
+    gateway.set_remote(&told).unwrap_err();
+    let epoch = gateway.graph_epoch();
+    gateway.set_remote(&told).unwrap_err();
+    assert_eq!(gateway.graph_epoch(), epoch);
+    // What is left has room.
+    let few = RemoteGraph { endpoints: (0..2).map(end).collect(), ..RemoteGraph::default() };
+    gateway.set_remote(&few).unwrap();
+    assert_eq!(gateway.graph().unwrap().endpoints.iter().filter(|end| end.is_remote).count(), 2);
+}
+
 #[test]
 fn nodes_elsewhere_that_have_one_name_are_two() {
     let domain = domain(109);

@@ -285,7 +285,7 @@ pub struct MirrorControl<F: FarSide> {
     transit: Transit,
     mirror: Mirror,
     service_rules: Rules,
-    /// Whether the last read of the graphs failed.
+    /// Whether the last update failed.
     is_stale: bool,
     stats: TopicStatsTable<TopicKey, Direction>,
     out: BTreeMap<TopicKey, Outward>,
@@ -418,7 +418,10 @@ impl<F: FarSide> MirrorControl<F> {
         self.route_services(&here, &there);
         self.far.announce(&here, &self.transit, &self.writers);
         if let Err(error) = self.participant.set_remote(&self.remote(there)) {
-            tracing::warn!("remote endpoints are not announced to nodes and tools of this host: {error}");
+            self.is_stale = true;
+            tracing::warn!(
+                "remote endpoints are not announced to nodes and tools of this host, retrying: {error}"
+            );
         }
         self.problems = here.problems;
     }

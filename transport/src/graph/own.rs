@@ -162,14 +162,15 @@ impl OwnRecord {
         remote: &RemoteGraph,
         topics: &mut BTreeSet<u64>,
     ) -> Result<(), TransportError> {
+        let mut changed = false;
         let mut state = self.state.lock();
-        let changed = state.set_remote(remote, topics).map_err(self.failed());
+        let said = state.set_remote(remote, topics, &mut changed).map_err(self.failed());
         drop(state);
-        // Only then: a relay that calls this after each change of the graph would otherwise never stop.
-        if *changed.as_ref().unwrap_or(&true) {
+        // Only then: a relay that calls this after each change of the graph would otherwise never stop, also if each call fails.
+        if changed {
             self.changed();
         }
-        changed.map(drop)
+        said
     }
 }
 
@@ -180,23 +181,27 @@ impl OwnRecordState {
         Ok(number)
     }
 
-    /// Replaces the announced entities; returns whether anything has changed.
-    fn set_remote(&mut self, remote: &RemoteGraph, topics: &mut BTreeSet<u64>) -> io::Result<bool> {
-        let mut changed = false;
+    /// Replaces the announced entities. Sets `changed` if anything has changed, also before an error.
+    fn set_remote(
+        &mut self,
+        remote: &RemoteGraph,
+        topics: &mut BTreeSet<u64>,
+        changed: &mut bool,
+    ) -> io::Result<()> {
         if self.remote.marker.is_none() {
             self.remote.marker = Some(self.add(EntryKind::Relay, 0, Vec::new())?);
-            changed = true;
+            *changed = true;
         }
         let mut former = (std::mem::take(&mut self.remote.nodes), std::mem::take(&mut self.remote.entries));
-        let said = self.write_remote(remote, topics, &mut former);
-        // Entries that should have been removed but are still in the record: the next call removes them.
+        let said = self.write_remote(remote, topics, changed, &mut former);
+        // After an error, entries that should have been removed are still in the record: the next call removes them.
         for (node, numbers) in former.0 {
             self.remote.nodes.entry(node).or_default().extend(numbers);
         }
         for (key, numbers) in former.1 {
             self.remote.entries.entry(key).or_default().extend(numbers);
         }
-        Ok(said? || changed)
+        said
     }
 
     /// Adds the new entries, then removes the former ones that are no longer wanted.
@@ -204,23 +209,21 @@ impl OwnRecordState {
         &mut self,
         remote: &RemoteGraph,
         topics: &mut BTreeSet<u64>,
+        changed: &mut bool,
         (nodes, entries): &mut (RemoteNodes, RemoteEntries),
-    ) -> io::Result<bool> {
-        let mut changed = false;
+    ) -> io::Result<()> {
         // By name: the endpoints refer to the first of several nodes with one name.
         let mut numbers = HashMap::new();
         for node in remote.all_nodes() {
             let number = match nodes.get_mut(&node).and_then(Vec::pop) {
                 Some(number) => number,
                 None => {
-                    changed = true;
                     let RemoteNode { name, enclave, origin } = node.clone();
                     let hash = hash_of(&name.full_name());
-                    self.add(
-                        EntryKind::Node,
-                        hash,
-                        to_body(&NodeRecord { name, enclave, origin: Some(origin) }),
-                    )?
+                    let body = to_body(&NodeRecord { name, enclave, origin: Some(origin) });
+                    let number = self.add(EntryKind::Node, hash, body)?;
+                    *changed = true;
+                    number
                 }
             };
             numbers.entry(node.name.clone()).or_insert(number);
@@ -232,24 +235,24 @@ impl OwnRecordState {
             let number = match entries.get_mut(&key).and_then(Vec::pop) {
                 Some(number) => number,
                 None => {
-                    changed = true;
+                    let number = self.add(kind, hash, key.2.clone())?;
                     topics.insert(hash);
-                    self.add(kind, hash, key.2.clone())?
+                    *changed = true;
+                    number
                 }
             };
             self.remote.entries.entry(key).or_default().push(number);
         }
         entries.retain(|_, numbers| !numbers.is_empty());
         topics.extend(entries.keys().map(|(_, hash, _)| hash));
-        // Nodes are removed after their endpoints.
-        for numbers in entries.values_mut().chain(nodes.values_mut()) {
-            while let Some(number) = numbers.last() {
-                changed = true;
-                self.log.remove(*number)?;
-                numbers.pop();
-            }
+        // Nodes are removed after their endpoints, and all of them, also if there is no room to record one: the next change for which there
+        // is room records all, and the fewer entries are left the less room that needs.
+        let mut said = Ok(());
+        for number in entries.values_mut().chain(nodes.values_mut()).flat_map(|numbers| numbers.drain(..)) {
+            *changed = true;
+            said = self.log.remove(number);
         }
-        Ok(changed)
+        said
     }
 }
 
