@@ -17,6 +17,7 @@
 //! - [`fork`] keeps children of the process from its locks and shared memory.
 //! - [`PiMutex`] protects data that threads of different priorities use; [`FutexWord`] is a word to sleep on; [`full_fence`] orders a
 //!   store before a load.
+//! - [`WakerCell`] has the waker of a task that threads of different priorities wake.
 //! - [`Patience`] limits the time of a polling loop.
 //! - [`at_exit`] calls a function when the process ends, even if other threads still run.
 //! - [`termination_signals`] are those that ask a process to end.
@@ -27,8 +28,8 @@
 //!
 //! Set-up, which allocates, reads files and makes syscalls, is everything except [`clock`], [`copy_to_shared`], [`fetch_to_write`],
 //! [`fetch_to_read`], [`full_fence`], [`shm::page_bytes`], [`fork::ProcessMark::is_here`], and the use of [`Words`], [`PiMutex`],
-//! [`FutexWord`], [`BudgetTimer`], [`CoreTime`], [`Patience`] and the objects of [`latest`]. No other crate of the workspace calls
-//! `sched_*` or `mlock*`.
+//! [`FutexWord`], [`WakerCell`], [`BudgetTimer`], [`CoreTime`], [`Patience`] and the objects of [`latest`]. No other crate of the
+//! workspace calls `sched_*` or `mlock*`.
 //!
 //! ```
 //! use tautline_rt::{Policy, Realtime, ThreadBuilder};
@@ -116,6 +117,7 @@ mod termination;
 mod thread;
 mod thread_time;
 mod tid;
+mod waker_cell;
 mod words;
 
 pub mod clock;
@@ -154,4 +156,5 @@ pub use termination::termination_signals;
 pub use thread::{JoinHandle, Realtime, ThreadBuilder, ThreadInfo, short_name, threads, threads_of};
 pub use thread_time::ThreadTime;
 pub use tid::current_tid;
+pub use waker_cell::WakerCell;
 pub use words::{ForeignMap, ForeignWords, Words, WordsFile, page_words};

@@ -2,9 +2,16 @@
 //! Atomics and cells, or loom's models of them (`--cfg taut_loom`).
 
 #[cfg(taut_loom)]
-pub(crate) use loom::{cell::UnsafeCell, sync::Arc, sync::atomic::AtomicU8, sync::atomic::Ordering};
+pub(crate) use loom::{
+    cell::UnsafeCell,
+    sync::Arc,
+    sync::atomic::{AtomicBool, AtomicU8, AtomicU32, AtomicUsize, Ordering},
+};
 #[cfg(not(taut_loom))]
-pub(crate) use std::sync::{Arc, atomic::AtomicU8, atomic::Ordering};
+pub(crate) use std::sync::{
+    Arc,
+    atomic::{AtomicBool, AtomicU8, AtomicU32, AtomicUsize, Ordering},
+};
 
 /// Has the interface of loom's cell.
 #[cfg(not(taut_loom))]

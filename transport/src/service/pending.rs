@@ -17,9 +17,9 @@
 use crate::sync::{AtomicU64, Ordering, fence};
 use crate::topic::subscription::hot::RawSample;
 use core::cell::UnsafeCell;
-use futures::task::AtomicWaker;
 use std::sync::Arc;
 use std::task::Wake;
+use tautline_rt::WakerCell;
 
 /// Maximum number of pending requests of one client, including waits for a server to appear: the number of
 /// bits in a word.
@@ -86,7 +86,8 @@ unsafe impl<R: Send> Sync for PendingSlot<R> {}
 /// The waiting tasks. Separate from the table, so that a doorbell that holds this as a waker owns nothing else.
 pub(crate) struct Waiters {
     occupied: AtomicU64,
-    wakers: [AtomicWaker; PLACES],
+    /// Whoever collects wakes them, and so does the sampler.
+    wakers: [WakerCell; PLACES],
 }
 
 impl Waiters {
@@ -126,7 +127,7 @@ impl<R> PendingTable<R> {
     #[allow(clippy::disallowed_methods, reason = "when a client is made")]
     pub(crate) fn new() -> Self {
         let waiters =
-            Waiters { occupied: AtomicU64::new(0), wakers: core::array::from_fn(|_| AtomicWaker::new()) };
+            Waiters { occupied: AtomicU64::new(0), wakers: core::array::from_fn(|_| WakerCell::default()) };
         let places = core::array::from_fn(|_| PendingSlot::default());
         PendingTable { waiters: Arc::new(waiters), alive: AtomicU64::new(0), places }
     }
@@ -219,7 +220,7 @@ impl<R> PendingTable<R> {
 
     fn free(&self, index: usize, place: &PendingSlot<R>) {
         if let Some(waker) = self.waiters.wakers.get(index) {
-            drop(waker.take());
+            waker.clear();
         }
         self.waiters.occupied.fetch_and(!(1 << index), Ordering::SeqCst);
         place.state.store(FREE, Ordering::Release);
@@ -349,6 +350,35 @@ mod tests {
         assert!(table.take(index).is_none(), "one is left");
         table.servers_changed(0b10, 0b100);
         assert!(matches!(table.take(index), Some(Outcome::ServerGone)), "the third did not get it");
+    }
+
+    /// The sampler preempts a thread of low priority that has taken the response, before its wake.
+    #[test]
+    #[allow(clippy::disallowed_methods, reason = "a test")]
+    fn the_sampler_wakes_a_task_that_another_thread_is_waking() {
+        struct Preempted(Arc<Waiters>, AtomicU64);
+        impl Wake for Preempted {
+            fn wake(self: Arc<Self>) {
+                self.wake_by_ref();
+            }
+
+            fn wake_by_ref(self: &Arc<Self>) {
+                if self.1.fetch_add(1, Ordering::Relaxed) == 0 {
+                    self.0.wake_all();
+                }
+            }
+        }
+        let table = PendingTable::<u32>::new();
+        table.servers_changed(0, 1);
+        let index = table.claim().expect("a place");
+        table.arm(index, 1);
+        table.sent(index);
+        let task = Arc::new(Preempted(table.waiters().clone(), AtomicU64::new(0)));
+        table.register(index, &task.clone().into());
+        table.answer(1, Outcome::Response(0));
+        assert_eq!(task.1.load(Ordering::Relaxed), 2);
+        assert!(matches!(table.take(index), Some(Outcome::Response(0))));
+        assert_eq!(Arc::strong_count(&task), 1, "nothing is registered any more");
     }
 }
 

@@ -11,12 +11,11 @@
 //! ```
 
 use crate::sync::{AtomicU32, AtomicU64, Ordering};
-use futures::task::AtomicWaker;
 use std::any::Any;
 use std::cell::{RefCell, UnsafeCell};
 use std::sync::Arc;
 use std::task::Waker;
-use tautline_rt::full_fence;
+use tautline_rt::{WakerCell, full_fence};
 
 /// The table of one subscription's borrowed samples.
 pub(crate) struct BorrowTable<S> {
@@ -32,9 +31,10 @@ struct BorrowTableState<S> {
     /// borrowed.
     places: Box<[UnsafeCell<Option<S>>]>,
     back: Box<[AtomicU64]>,
-    /// A task was refused a sample because all entries are in use: the next sample that is returned wakes it.
+    /// A task was refused a sample because all entries are in use: each sample that is returned wakes it, until it looks. Whoever returns
+    /// one relies on no other thread, which may be preempted before its wake.
     starved: AtomicU32,
-    waker: AtomicWaker,
+    waker: WakerCell,
     /// Dropped after all samples, when the table and the last borrowed sample have been dropped.
     _end: Box<dyn Any + Send + Sync>,
 }
@@ -53,7 +53,7 @@ impl<S> BorrowTable<S> {
             places: (0..places).map(|_| UnsafeCell::new(None)).collect(),
             back: (0..places.div_ceil(64)).map(|_| AtomicU64::new(0)).collect(),
             starved: AtomicU32::new(0),
-            waker: AtomicWaker::new(),
+            waker: WakerCell::default(),
             _end: Box::new(end),
         };
         BorrowTable { state: Arc::new(state), free: RefCell::new((0..places).rev().collect()) }
@@ -81,6 +81,9 @@ impl<S> BorrowTable<S> {
                 }
             }
         }
+        if !free.is_empty() && self.state.starved.load(Ordering::Relaxed) != 0 {
+            self.state.starved.store(0, Ordering::Relaxed);
+        }
         !free.is_empty()
     }
 
@@ -95,7 +98,7 @@ impl<S> BorrowTable<S> {
         Some(BorrowedSample { state: self.state.clone(), place })
     }
 
-    /// Wakes `waker` when the next sample is returned. True if one was returned meanwhile: try again.
+    /// Wakes `waker` when samples are returned, until [`reclaim`](Self::reclaim). True if one was returned meanwhile: try again.
     pub(crate) fn wake_when_back(&self, waker: &Waker) -> bool {
         self.state.waker.register(waker);
         self.state.starved.store(1, Ordering::Relaxed);
@@ -119,9 +122,7 @@ impl<S> Drop for BorrowedSample<S> {
         let Some(word) = self.state.back.get(self.place / 64) else { return };
         word.fetch_or(1 << (self.place % 64), Ordering::Release);
         full_fence();
-        if self.state.starved.load(Ordering::Relaxed) != 0
-            && self.state.starved.swap(0, Ordering::Relaxed) != 0
-        {
+        if self.state.starved.load(Ordering::Relaxed) != 0 {
             self.state.waker.wake();
         }
     }
@@ -183,6 +184,29 @@ mod tests {
         drop(lent);
         assert_eq!(woken.load(std::sync::atomic::Ordering::SeqCst), 1);
         assert!(borrowed.wake_when_back(&waker), "one is back already");
+    }
+
+    /// A thread of high priority preempts one of low priority that has returned a sample, before its wake.
+    #[test]
+    fn who_was_refused_is_woken_by_each_thread() {
+        struct Preempted(std::sync::Mutex<Option<BorrowedSample<()>>>, std::sync::atomic::AtomicUsize);
+        impl std::task::Wake for Preempted {
+            fn wake(self: Arc<Self>) {
+                self.1.fetch_add(1, std::sync::atomic::Ordering::SeqCst);
+                let other = self.0.lock().unwrap().take();
+                drop(other);
+            }
+        }
+        let borrowed = BorrowTable::new(2, ());
+        let (first, second) = (borrowed.lend(()).unwrap(), borrowed.lend(()).unwrap());
+        let task = Arc::new(Preempted(Some(second).into(), 0.into()));
+        let woken = || task.1.load(std::sync::atomic::Ordering::SeqCst);
+        assert!(!borrowed.wake_when_back(&task.clone().into()));
+        drop(first);
+        assert_eq!(woken(), 2);
+        assert!(borrowed.reclaim());
+        drop(borrowed.lend(()));
+        assert_eq!(woken(), 2, "it has looked");
     }
 
     fn counting_waker() -> (Waker, Arc<std::sync::atomic::AtomicUsize>) {
