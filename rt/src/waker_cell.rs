@@ -132,9 +132,8 @@ impl WakerCell {
             return true;
         }
         // Acquire: as in `clear`.
-        let is_free = |(index, slot): &(usize, &Slot)| {
-            *index != current && slot.users.load(Ordering::Acquire) == 0
-        };
+        let is_free =
+            |(index, slot): &(usize, &Slot)| *index != current && slot.users.load(Ordering::Acquire) == 0;
         let Some((index, slot)) = self.slots.iter().enumerate().find(is_free) else { return false };
         // SAFETY: only this thread changes wakers; the slot is not current and has no users.
         slot.waker.with_mut(|own| unsafe { *own = Some(waker.clone()) });

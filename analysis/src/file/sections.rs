@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reads the sections of the file: their keys, and the values allowed for each.
-use super::content::{
-    Client, Executor, JoinPolicy, LinkPriority, MOST_DEPTH, OverrunPolicy, ThreadPriority,
-};
+use super::content::{Client, Executor, JoinPolicy, LinkPriority, MOST_DEPTH, OverrunPolicy, ThreadPriority};
 use super::declared::{Callback, Chain, Costs, Declared, Group, Host, Node, Policy, Topic};
 use super::reader::{At, Section};
 use crate::{LockProtocol, Order, Reservation};

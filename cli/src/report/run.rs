@@ -190,9 +190,8 @@ impl Run {
 
     /// Reads a saved run from its text.
     pub fn parse(path: &Path, text: &str) -> Outcome<Run> {
-        let refuse = |reason: String| {
-            Failure::unusable(format!("`{}` is not a saved run: {reason}", path.display()))
-        };
+        let refuse =
+            |reason: String| Failure::unusable(format!("`{}` is not a saved run: {reason}", path.display()));
         let run: Run = serde_json::from_str(text).map_err(|error| refuse(error.to_string()))?;
         if run.format != FORMAT {
             return Err(refuse(format!("its format is `{}`, not `{FORMAT}`", run.format)));

@@ -152,14 +152,8 @@ impl Drain {
         for ring in RINGS_OF_THREADS.iter().skip(self.consumers.len()).take(SPARE.saturating_sub(spare)) {
             let (mut producer, mut consumer) = RingBuffer::new(LINES);
             // Filled once, so that it causes no page faults later.
-            let line = Line {
-                time_ns: 0,
-                severity: LogSeverity::Unset,
-                logger: "",
-                text: "",
-                file: "",
-                line: 0,
-            };
+            let line =
+                Line { time_ns: 0, severity: LogSeverity::Unset, logger: "", text: "", file: "", line: 0 };
             let line = FixedLine::new(line, format_args!(""));
             while producer.push(line.clone()).is_ok() {}
             while consumer.pop().is_ok() {}

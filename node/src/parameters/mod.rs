@@ -18,4 +18,3 @@ pub use ros_params::{RosParams, field, no_field};
 pub use store::{OnSetParameters, Parameters};
 
 pub(crate) use overrides::overrides;
-pub(crate) use store::ParameterMap;

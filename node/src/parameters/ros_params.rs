@@ -126,9 +126,7 @@ macro_rules! leaf {
                         Ok::<$type, _>(_) => Ok(()),
                         Err(reason) => Err(does_not_fit(param_val, reason)),
                     },
-                    _ => {
-                        Err(ParameterError::wrong_type("", ParameterType::$variant, param_val).into())
-                    }
+                    _ => Err(ParameterError::wrong_type("", ParameterType::$variant, param_val).into()),
                 }
             }
         }

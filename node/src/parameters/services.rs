@@ -141,7 +141,7 @@ fn descriptor(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::parameters::ParameterMap;
+    use crate::parameters::store::ParameterMap;
     use crate::values::ParameterEvents;
 
     fn parameters() -> Parameters {

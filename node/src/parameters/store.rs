@@ -6,12 +6,12 @@ use super::parameter::Parameter;
 use super::reader::{Feed, ParameterReader};
 use super::ros_params::RosParams;
 use crate::error::Result;
+#[cfg(feature = "rosgraph_msgs")]
+use crate::time::TimeSource;
 use crate::values::{
     Changes, ParameterError, ParameterEvents, ParameterType, ParameterValue, ParameterVariant,
     WrongParameterType,
 };
-#[cfg(feature = "rosgraph_msgs")]
-use crate::time::TimeSource;
 use indexmap::IndexMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread::ThreadId;

@@ -81,11 +81,7 @@ impl ParameterError {
         self
     }
 
-    pub(crate) fn wrong_type(
-        name: &str,
-        expected: ParameterType,
-        value: &ParameterValue,
-    ) -> ParameterError {
+    pub(crate) fn wrong_type(name: &str, expected: ParameterType, value: &ParameterValue) -> ParameterError {
         let hint = match (expected, value) {
             (ParameterType::Double, ParameterValue::Integer(_)) => Some("write a double with a point"),
             (ParameterType::String, _) => Some("quote a string"),

@@ -163,9 +163,8 @@ impl<'r> Fits<'r> {
         if changed.is_empty() {
             return Ok((Vec::new(), system.checked.schedulable));
         }
-        let refuse = |reason: String| {
-            Failure::unusable(format!("`{}` cannot be changed: {reason}", path.display()))
-        };
+        let refuse =
+            |reason: String| Failure::unusable(format!("`{}` cannot be changed: {reason}", path.display()));
         let mut text = read(path)?;
         if text != system.text {
             let reason = "it is no longer the file of this run: name the one to change with --system";
