@@ -352,7 +352,7 @@ fn too_much_from_elsewhere_is_refused_without_a_change() {
             teller: None,
         }
     };
-    let told = RemoteGraph { endpoints: (0..50_000).map(end).collect(), ..RemoteGraph::default() };
+    let told = RemoteGraph { endpoints: (0..120_000).map(end).collect(), ..RemoteGraph::default() };
     gateway.set_remote(&told).unwrap_err();
     let epoch = gateway.graph_epoch();
     gateway.set_remote(&told).unwrap_err();
