@@ -67,13 +67,13 @@ fn is_to_wait(error: &ServiceError) -> bool {
 
 impl Asking {
     /// Sends waiting requests in order, as far as servers have room.
-    fn flush(&mut self) -> Result<(), ServiceError> {
+    fn flush(&mut self) -> std::result::Result<(), ServiceError> {
         while self.flush_one()? {}
         Ok(())
     }
 
     /// Sends the first waiting request, if there is one and a server has room. Returns whether it did.
-    fn flush_one(&mut self) -> Result<bool, ServiceError> {
+    fn flush_one(&mut self) -> std::result::Result<bool, ServiceError> {
         let Some((number, body)) = self.unsent.front() else { return Ok(false) };
         let mut loan = self.raw.loan(body.len())?;
         loan.copy_from_slice(body);
