@@ -160,11 +160,23 @@ impl Waiters {
         waiter
     }
 
-    pub(crate) fn give_back(&self, waiter: Arc<Waiter>) {
+    /// Exchanges a claimed waiter for another one, if that is free.
+    pub(crate) fn exchange(&self, own: &mut Arc<Waiter>, other: Arc<Waiter>) {
         let Some(mut lists) = self.lists() else { return };
         let WaiterLists { used, free } = &mut *lists;
-        used.retain(|one| !Arc::ptr_eq(one, &waiter));
-        free.push(waiter);
+        let place =
+            |list: &[Arc<Waiter>], waiter: &Arc<Waiter>| list.iter().position(|one| Arc::ptr_eq(one, waiter));
+        if let (Some(used_at), Some(free_at)) = (place(used, own), place(free, &other)) {
+            std::mem::swap(&mut used[used_at], &mut free[free_at]);
+            *own = other;
+        }
+    }
+
+    pub(crate) fn give_back(&self, waiter: &Arc<Waiter>) {
+        let Some(mut lists) = self.lists() else { return };
+        let WaiterLists { used, free } = &mut *lists;
+        used.retain(|one| !Arc::ptr_eq(one, waiter));
+        free.push(waiter.clone());
     }
 }
 

@@ -93,6 +93,15 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
         self.with(|port| port.subscription().has_samples())
     }
 
+    /// The waiter that it wakes, if publishers ring its bell.
+    ///
+    /// # Real-time
+    /// As [`with`](Self::with); no allocation; no syscall.
+    pub(crate) fn bell(&self) -> Option<Arc<Waiter>> {
+        let (_, route) = &*self.side.lock();
+        route.to.clone().filter(|_| route.is_direct)
+    }
+
     /// Lets new messages wake `waiter`, once; the caller checks the queue afterwards.
     ///
     /// Publishers wake the waiter's thread directly, if its bell has room. All other rings go through the sampler, which is the

@@ -1233,10 +1233,19 @@ fn a_wait_set_gets_no_bell_that_is_rung_for_another_ones_endpoints() {
         let holders = || {
             let waiter = context.waiters.claim(&context.participant);
             let holders = (waiter.bell().is_some(), Arc::strong_count(&waiter));
-            context.waiters.give_back(waiter);
+            context.waiters.give_back(&waiter);
             holders
         };
         // The test and the list: nothing that rings it.
+        assert_eq!(holders(), (true, 2));
+        // rclpy makes a wait set for each wait: one that waits for the same endpoints is rung by them as they are.
+        let rung = || (*(*subscription).data.cast::<subscription::Subscription>()).end().bell().unwrap();
+        let former = rung();
+        let set = wait::rmw_create_wait_set(&mut *world.context, 0);
+        assert_eq!(wait_for(set, (*subscription).data, &mut [], &soon), (RET_TIMEOUT, false));
+        assert_eq!(wait::rmw_destroy_wait_set(set), RET_OK);
+        assert!(std::sync::Arc::ptr_eq(&former, &rung()));
+        drop(former);
         assert_eq!(holders(), (true, 2));
         assert_eq!(subscription::rmw_destroy_subscription(world.node, subscription), RET_OK);
         assert_eq!(holders(), (true, 2));

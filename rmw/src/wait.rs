@@ -17,12 +17,14 @@ use crate::thread;
 use std::ffi::c_void;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use tautline_rt::PiMutex;
 use tautline_rt::clock::monotonic_ns;
 use tautline_trace::SamplerObject;
 
 pub(crate) struct WaitSet {
     waiters: Arc<Waiters>,
-    waiter: Arc<Waiter>,
+    waiter: PiMutex<Arc<Waiter>>,
+    has_slept: AtomicBool,
     waits: Arc<SamplerObject>,
     /// Whether callbacks' processor time is measured.
     is_measured: bool,
@@ -30,6 +32,24 @@ pub(crate) struct WaitSet {
 }
 
 handle!(rmw_wait_set_t, WaitSet, "the wait set");
+
+impl WaitSet {
+    /// What its thread sleeps on. Before it sleeps for the first time, that becomes what the endpoints already ring, if no wait set has it:
+    /// rclpy makes a wait set for each wait, and endpoints would be told of another bell each time.
+    ///
+    /// # Real-time
+    /// No allocation; no syscall; the first time O(wait sets of the context + entities), and it waits for threads that create or destroy wait
+    /// sets.
+    fn waiter(&self, wanted: &WaitEntities) -> Arc<Waiter> {
+        let own = &mut *self.waiter.lock();
+        if !self.has_slept.swap(true, Ordering::Relaxed)
+            && let Some(rung) = wanted.rung()
+        {
+            self.waiters.exchange(own, rung);
+        }
+        own.clone()
+    }
+}
 
 /// A thread's use of a wait set, until dropped.
 struct Turn<'a>(&'a AtomicBool);
@@ -160,6 +180,13 @@ impl WaitEntities<'_> {
         (idle, has_any)
     }
 
+    /// The bell that the first of the endpoints with one rings.
+    fn rung(&self) -> Option<Arc<Waiter>> {
+        let ends = self.subscriptions().map(|one| one.end().bell());
+        let ends = ends.chain(self.services().map(|one| one.end().bell()));
+        ends.chain(self.clients().map(|one| one.end().bell())).flatten().next()
+    }
+
     /// Lets flags wake `waiter`, until it is detached.
     fn attach_signals(&self, waiter: &Waiter) -> Result {
         for signal in self.signals() {
@@ -195,8 +222,7 @@ impl WaitEntities<'_> {
     ///
     /// # Real-time
     /// As [`find_ready`](Self::find_ready) for each ring, and a syscall to sleep.
-    fn wait(&self, wait_set: &WaitSet, deadline_ns: Option<u64>) -> Idle {
-        let waiter = &wait_set.waiter;
+    fn wait(&self, wait_set: &WaitSet, waiter: &Arc<Waiter>, deadline_ns: Option<u64>) -> Idle {
         loop {
             let count = waiter.count();
             self.attach_data(waiter);
@@ -287,10 +313,10 @@ exported! {
         if handle.is_null() {
             return Err(Error::new(RET_BAD_ALLOC, "no memory for a wait set"));
         }
-        let waiter = context.waiters.claim(&context.participant);
+        let waiter = PiMutex::new(context.waiters.claim(&context.participant));
         let (waiters, waits) = (context.waiters.clone(), context.waits.clone());
-        let (is_measured, in_use) = (context.system.measures_execution(), AtomicBool::new(false));
-        let wait_set = WaitSet { waiters, waiter, waits, is_measured, in_use };
+        let (is_measured, has_slept, in_use) = (context.system.measures_execution(), false.into(), false.into());
+        let wait_set = WaitSet { waiters, waiter, has_slept, waits, is_measured, in_use };
         // SAFETY: rmw's memory, written before anyone can see it.
         unsafe {
             handle.write(rmw_wait_set_t {
@@ -310,7 +336,7 @@ exported! {
         unsafe {
             behind(handle)?;
             let wait_set = take_back::<WaitSet>((*handle).data);
-            wait_set.waiters.give_back(wait_set.waiter);
+            wait_set.waiters.give_back(&wait_set.waiter.lock());
             rmw_wait_set_free(handle);
         }
         Ok(())
@@ -363,10 +389,11 @@ pub unsafe extern "C" fn rmw_wait(
         let waited = if is_ready || timeout_ns == Some(0) {
             Ok(idle)
         } else {
-            let _attached = Attached { wanted: &wanted, waiter: &wait_set.waiter };
-            let has_room = wanted.attach_signals(&wait_set.waiter);
+            let waiter = &wait_set.waiter(&wanted);
+            let _attached = Attached { wanted: &wanted, waiter };
+            let has_room = wanted.attach_signals(waiter);
             let deadline_ns = timeout_ns.map(|timeout_ns| monotonic_ns().saturating_add(timeout_ns));
-            has_room.map(|()| wanted.wait(wait_set, deadline_ns))
+            has_room.map(|()| wanted.wait(wait_set, waiter, deadline_ns))
         };
         let is_ready = wanted.report(waited?);
         job::wake(&wait_set.waits, is_ready);
