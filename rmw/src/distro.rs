@@ -57,7 +57,7 @@ pub(crate) unsafe fn message(
     // SAFETY: the caller's contract; callbacks of a type support of this name.
     unsafe {
         let found = support::find(support)?;
-        Ok((Callbacks::new(found.data), known_message(found, support)?))
+        Ok((Callbacks::new(found.data), type_of_message(found, support)?))
     }
 }
 
@@ -144,7 +144,7 @@ mod since_jazzy {
 
     /// # Safety
     /// Both are type supports of one type.
-    pub(crate) unsafe fn known_message(
+    pub(crate) unsafe fn type_of_message(
         found: &rosidl_message_type_support_t,
         _asked: *const rosidl_message_type_support_t,
     ) -> Result<KnownType> {
@@ -159,7 +159,7 @@ mod since_jazzy {
     /// A service, its request and its response.
     ///
     /// # Safety
-    /// As [`known_message`].
+    /// As [`type_of_message`].
     pub(crate) unsafe fn service(
         found: &rosidl_service_type_support_t,
         _asked: *const rosidl_service_type_support_t,
@@ -168,7 +168,7 @@ mod since_jazzy {
         else {
             return Err(no_support());
         };
-        // SAFETY: as in `known_message`; a service's messages have type supports.
+        // SAFETY: as in `type_of_message`; a service's messages have type supports.
         unsafe {
             let messages = [message(found.request_typesupport)?, message(found.response_typesupport)?];
             Ok((type_by_hash(hash(found), description(found))?, messages))
@@ -298,7 +298,7 @@ mod humble {
 
     /// # Safety
     /// Both are type supports of one type.
-    pub(crate) unsafe fn known_message(
+    pub(crate) unsafe fn type_of_message(
         _found: &rosidl_message_type_support_t,
         asked: *const rosidl_message_type_support_t,
     ) -> Result<KnownType> {
@@ -312,7 +312,7 @@ mod humble {
     /// A service, its request and its response.
     ///
     /// # Safety
-    /// As [`known_message`].
+    /// As [`type_of_message`].
     pub(crate) unsafe fn service(
         found: &rosidl_service_type_support_t,
         asked: *const rosidl_service_type_support_t,

@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn lies_are_no_description() {
+    fn malformed_entries_are_not_read() {
         let entry = blank();
         entry.turn.store(2, Ordering::Relaxed);
         entry.kind.store(200, Ordering::Relaxed);
